@@ -8,7 +8,6 @@ from ..scene.registration import classes_of
 from . import (
     align_world,
     bake,
-    brush,
     camera_life,
     camera_moves,
     camera_path_files,
@@ -30,7 +29,10 @@ from . import (
     look,
     maintenance,
     native_copy,
+    parts,
     reload,
+    select_gaussians,
+    select_kind,
     select_splats,
     sync_cameras,
     train,
@@ -47,8 +49,9 @@ else:
     MAKING = ()
 
 CLASSES = classes_of(
-    align_world, bake, brush, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture,
-    clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, import_model, look, maintenance,
-    native_copy, reload, select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
+    align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture, clip,
+    crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, import_model, look, maintenance,
+    native_copy, parts, reload, select_gaussians, select_kind, select_splats, sync_cameras, train, training_python, training_runs, upright,
+    view_camera, *MAKING,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -53,7 +53,7 @@ class FASTGS_OT_store_view(Action, bpy.types.Operator):
         path = objects.abspath(obj)
         annotate(path, view=framing.viewpoint_of_view(context, obj))
         objects.reload(path)
-        splat_object.write_facts(obj, objects.load_model(path), path)
+        splat_object.write_facts(obj, objects.source_of(obj), path)
         return f"{path} is shown like this from now on"
 
 

@@ -1,16 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that crop a splat object with shapes and write the remaining Gaussians as a new model."""
+"""Operators that crop a splat object with shapes."""
 from __future__ import annotations
 
-from pathlib import Path
-
 import bpy
-from bpy.props import EnumProperty, IntProperty, StringProperty
-from bpy_extras.io_utils import ExportHelper
+from bpy.props import EnumProperty, IntProperty
 
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import crops, objects
-from ..scene.splats import splat_object
 from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Need, item_of
 
 
@@ -57,29 +53,3 @@ class FASTGS_OT_remove_crop_box(Action, bpy.types.Operator):
         item_of(context.object.fastgs.crops, self.index)
         context.object.fastgs.crops.remove(self.index)
         context.object.update_tag()
-
-
-class FASTGS_OT_apply_crop(Action, bpy.types.Operator, ExportHelper):
-    """Write the Gaussians that the crops show on any frame of the clip into a new file, and use this file for the object"""
-
-    bl_idname = "fastgs.apply_crop"
-    bl_label = "Apply Crop"
-    needs = (EDITABLE_SPLATS, Need(lambda context: any(item.use and item.object for item in context.object.fastgs.crops),
-                                   "The object has no crops that are used"))
-
-    filename_ext = ".safetensors"
-    filter_glob: StringProperty(default="*.safetensors", options={'HIDDEN'})
-
-    def invoke(self, context, event):
-        path = Path(objects.abspath(context.object))
-        self.filepath = str(path.with_name(f"{path.stem}-cropped{self.filename_ext}"))
-        context.window_manager.fileselect_add(self)
-        return {'RUNNING_MODAL'}
-
-    def act(self, context):
-        obj = context.object
-        target = bpy.path.abspath(self.filepath)
-        left, total = crops.write_cropped(obj, context.evaluated_depsgraph_get(), target)
-        splat_object.show_file(obj, target)
-        obj.fastgs.crops.clear()
-        return f"Wrote {left:,} of {total:,} Gaussians"

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators that hide Gaussians for what they are, and make an object of them."""
+"""Operators that hide Gaussians for what they are."""
 from __future__ import annotations
 
 import bpy
@@ -43,15 +43,3 @@ class FASTGS_OT_remove_filter(_OnFilter, bpy.types.Operator):
         item_of(context.object.fastgs.filters, self.index)
         context.object.fastgs.filters.remove(self.index)
         context.object.update_tag()
-
-
-class FASTGS_OT_separate(_OnFilter, bpy.types.Operator):
-    """Make a new object that shows what this filter hides"""
-
-    bl_idname = "fastgs.separate"
-    bl_label = "Separate by Filter"
-
-    def act(self, context):
-        item_of(context.object.fastgs.filters, self.index)
-        item = objects.duplicate(context, context.object).fastgs.filters[self.index]
-        item.mode = 'KEEP' if item.mode == 'HIDE' else 'HIDE'

@@ -25,6 +25,6 @@ class FASTGS_OT_native_copy(Action, bpy.types.Operator):
     kind: EnumProperty(name="As", description="What the copy is made of", items=_kinds)
 
     def act(self, context):
-        objects.load_model(objects.abspath(context.object))  # which says what is wrong with it
+        objects.source_of(context.object)  # which says what is wrong with it
         copy = native.make(context, context.object, self.kind)
         return f'"{copy.name}" follows "{context.object.name}"; other engines render it in place of its points'

@@ -3,16 +3,15 @@
 from __future__ import annotations
 
 from functools import lru_cache
-from pathlib import Path
 
 import bpy
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.rendering.crops import Crop, cropped
+from ..fastgs_blender.rendering.crops import Crop
 from ..fastgs_blender.rendering.instances import LIMIT
 from ..fastgs_blender.rendering.volumes import Volume, mesh_volume
-from . import arrays, model_space, objects
+from . import arrays, model_space
 
 BROKEN = (f'its crop shape "{{}}" has a transform or a vertex beyond {LIMIT:g}, or one that is no number; clear its transform, or delete '
           "that vertex.")
@@ -96,19 +95,3 @@ def add_shape(obj, shape: str) -> bpy.types.Object:
     item = obj.fastgs.crops.add()
     item.object, item.shape = box, shape
     return box
-
-
-def write_cropped(obj, depsgraph, target: str) -> tuple[int, int]:
-    """Write the Gaussians that an object's boxes leave as the file `target`; returns (how many, of how many).
-
-    Raises FastGSError where nothing is left or the file cannot be written, and refuses the file that the object shows.
-    """
-    source = objects.abspath(obj)
-    if Path(target).resolve() == Path(source).resolve():
-        raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
-    model = objects.load_one_model(obj, "written as one file")
-    left = cropped(model, crops_of(obj.evaluated_get(depsgraph), depsgraph))
-    if not len(left):
-        raise fg.FastGSError("the boxes leave nothing of the model; nothing was written.")
-    fg.save(left, target)
-    return len(left), len(model)

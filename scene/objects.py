@@ -19,7 +19,7 @@ from ..fastgs_blender.model.gaussians import Clip
 from ..fastgs_blender.model.sequence import FreeClip, Sequence, Source
 from ..fastgs_blender.util.identity import FileIdentity, status_of
 from ..fastgs_blender.util.reading import reading
-from . import paths
+from . import parts, paths
 
 log = logging.getLogger(__name__)
 
@@ -118,8 +118,13 @@ def load_model(path: str) -> Source:
     return entry.model
 
 
+def source_of(obj: bpy.types.Object) -> Source:
+    """What an object shows of its file: all, or its part, as a model of its own.  Raises FastGSError as load_model() and part_of() do."""
+    return parts.part_of(load_model(abspath(obj)), obj.fastgs.part)
+
+
 def load_one_model(obj: bpy.types.Object, done: str) -> fg.GaussianModel:
-    """The model of an object.  Raises FastGSError where it cannot be read, or is a sequence, with which this cannot be done."""
+    """The whole model of an object's file.  Raises FastGSError where it cannot be read, or is a sequence, of which this cannot be done."""
     path = abspath(obj)
     model = load_model(path)
     if not isinstance(model, fg.GaussianModel):
@@ -152,7 +157,9 @@ def error_of(obj: bpy.types.Object) -> str | None:
     except fg.FastGSError as error:
         return str(error)
     entry = _entries.get(path)
-    return entry.error if entry and entry.identity.status == status else None
+    if entry is None or entry.identity.status != status:
+        return None
+    return entry.error or parts.trouble(entry.model, obj.fastgs.part)
 
 
 def reloads() -> int:
@@ -169,8 +176,10 @@ def reload(path: str):
 
 
 def drop_unused():
-    """Free the models that no object of the open file shows."""
-    used = {abspath(obj) for obj in bpy.data.objects if is_splat(obj)}
+    """Free the models, and the parts, that no object of the open file shows."""
+    shown = [obj for obj in bpy.data.objects if is_splat(obj)]
+    used = {abspath(obj) for obj in shown}
+    parts.forget_all_but({obj.fastgs.part for obj in shown})
     with _lock:
         for path in _entries.keys() - used:
             del _entries[path]

@@ -23,6 +23,7 @@ from .training.options import FASTGS_PG_training
 
 _OWN = {'LIBRARY_OVERRIDABLE'}
 _SHOWN = {"override": _OWN, "update": updates.shown}
+_PICKED = {"override": _OWN, "update": updates.picked}
 
 BACKDROP = (
     ('INSIDE', "From Inside", "Show the backdrop to cameras and views that stand inside it", 0),
@@ -158,8 +159,18 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     splat_shadow: BoolProperty(
         name="Splat Shadow", description="Let splats take the light of this lamp from meshes, in a pass Splat Shadow of its own",
         default=False, override=_OWN, update=updates.lamps)
+    part: StringProperty(
+        name="Part", description="Which Gaussians of the file are this object's own, packed; empty: all", options={'HIDDEN'}, **_SHOWN)
     mask: StringProperty(
         name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
+    selection: StringProperty(
+        name="Selection", description="Which Gaussians are selected, packed", options={'HIDDEN'}, **_PICKED)
+    wanted: StringProperty(
+        name="Wanted", description="Which Gaussians were drawn over to be selected, packed: where Grow begins",
+        options={'HIDDEN'}, **_PICKED)
+    refused: StringProperty(
+        name="Refused", description="Which Gaussians were drawn over to be taken out of the selection, packed: where Grow ends",
+        options={'HIDDEN'}, **_PICKED)
     viewport_density: FloatProperty(
         name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
         min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
@@ -225,9 +236,13 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     show_splats: BoolProperty(
         name="Splats in Viewports", description="Draw the Gaussians themselves over Solid, Material Preview and other engines' "
         "Rendered shading, with the scene's meshes", default=True, update=updates.viewports)
-    eraser_radius: FloatProperty(
-        name="Radius", description="Radius of the tool Erase Splats, in pixels", default=40.0, min=1.0, max=2000.0, soft_max=400.0,
-        subtype='PIXEL', precision=0)
+    brush_radius: FloatProperty(
+        name="Radius", description="Radius of the brushes that select and erase Gaussians, in pixels", default=40.0, min=1.0, max=2000.0,
+        soft_max=400.0, subtype='PIXEL', precision=0)
+    select_through: BoolProperty(
+        name="Through", description="Select all Gaussians under what is drawn, and not only those that are seen", default=False)
+    show_erased: BoolProperty(
+        name="Show Erased", description="Show in viewports, in red, what was erased", default=False, update=updates.viewports)
     viewport_density: FloatProperty(
         name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the time changes, the most "
         "important ones first", subtype='FACTOR', min=0.01, max=1.0, default=0.8, update=updates.viewports)

@@ -10,8 +10,13 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
 from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectSettings
-from . import crops, devices, model_space, objects, point_edits, speeds
+from . import crops, devices, model_space, objects, parts, point_edits, speeds
 from .time import Retime, shown_frames
+
+SELECTED = ObjectSettings(saturation=0.3, exposure=0.4, tint=(1.9, 0.75, 0.16))
+REFUSED = ObjectSettings(saturation=0.3, exposure=0.2, tint=(0.3, 0.75, 2.2))
+ERASED = ObjectSettings(saturation=0.2, tint=(1.8, 0.25, 0.25), opacity=0.5)
+"""The looks, on top of an object's own, in which viewports show what is selected, refused or erased."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -26,6 +31,8 @@ class FileInstance:
     index      the object's number, its pass index
     place      what finds the instance again on another frame
     points     what modifiers have made of its points, with *Modifiers Change: Splats*
+    part       which Gaussians of the file are the object's (parts.py); the settings' mask, and these two masks, are of its own:
+    selection, refused  what of it is selected, and was drawn over to be none of that; both are what viewports alone show
     trouble    why it cannot be shown, whatever its file holds: a sentence, or ""
     """
 
@@ -37,6 +44,9 @@ class FileInstance:
     index: int = 0
     place: Hashable = None
     points: point_edits.Carried | None = None
+    part: str = ""
+    selection: str = ""
+    refused: str = ""
     trouble: str = ""
 
     @property
@@ -47,7 +57,8 @@ class FileInstance:
     @property
     def state(self) -> tuple:
         """All of it as values that can be compared."""
-        return self.path, self.placement.tobytes(), self.retime, self.settings, self.points and self.points.number, self.trouble
+        return (self.path, self.placement.tobytes(), self.retime, self.settings, self.points and self.points.number, self.part,
+                self.trouble)
 
 
 @dataclass(frozen=True, eq=False)
@@ -67,6 +78,13 @@ class Snapshot:
     def state(self) -> tuple:
         """All of it as values that can be compared."""
         return self.frame, self.fps, tuple(item.state for item in self.instances)
+
+    def tinted(self, erased: bool = False) -> Snapshot:
+        """As viewports show it: what of an object is selected, or refused, has a colour, and with `erased` so has what was erased.
+
+        Each colour is an instance of the same model, with another look and all else masked: on the GPU the model stays as it is.
+        """
+        return replace(self, instances=[each for item in self.instances for each in _tinted(item, erased)])
 
     def load(self, load_model=objects.load_model, read: bool = True) -> tuple[list[Instance], list[tuple[str, str]]]:
         """(the instances to render, [(object's name, why it is left out), ...]).  Reads the files that are not in memory.
@@ -94,7 +112,7 @@ class Snapshot:
         if not (np.abs(item.placement) <= LIMIT).all():  # neither are NaN
             raise fg.FastGSError(f"its transform holds numbers beyond {LIMIT:g} or that are no numbers; "
                                  "clear its location, rotation and scale, or those of its parents.")
-        source = load_model(item.path)
+        source = parts.part_of(load_model(item.path), item.part)
         made = []
         for number, (frame, share) in enumerate(shown_frames(self.frame, self.fps, item.retime, source.clip)):
             model, t = source.moment(source.clip.t_of_frame(frame), item.retime.hold, read)
@@ -103,6 +121,17 @@ class Snapshot:
             made.append(Instance(shown, item.placement, at, settings, item.name, item.index, (item.place, number) if number else item.place,
                                  None if shown is model else model))
         return made
+
+
+def _tinted(item: FileInstance, erased: bool) -> list[FileInstance]:
+    """An object once for each of the colours in which its Gaussians are shown; the first has those of the model."""
+    hidden = item.settings.mask
+    picked = [(mask, look) for mask, look in ((item.selection, SELECTED), (item.refused, REFUSED)) if mask]
+    made = [(parts.union(hidden, *(mask for mask, _ in picked)), None)]
+    made += [(parts.union(hidden, parts.all_but(mask)), look) for mask, look in picked]
+    made += [(parts.all_but(hidden), ERASED)] * bool(erased and hidden)
+    return [replace(item, settings=replace(item.settings if look is None else item.settings.under(look), mask=mask))
+            for mask, look in made]
 
 
 def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool | None = None) -> Snapshot:
@@ -128,8 +157,14 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
         if key not in seen:
             seen.add(key)
             place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
-            found.append(replace(instance_of(obj, depsgraph, placement, final, maker), place=place))
+            found.append(replace(instance_of(obj, depsgraph, placement, final, maker), place=place, **_picked(obj)))
     return Snapshot(found, *clock(depsgraph.scene), devices.wanted(depsgraph.scene))
+
+
+def _picked(obj) -> dict[str, str]:
+    """The masks of what is selected of an evaluated object: its original has them, because they are no reason to evaluate it again."""
+    settings = obj.original.fastgs
+    return {name: parts.within(settings.part, getattr(settings, name)) for name in ("selection", "refused")}
 
 
 def instance_of(obj, depsgraph, placement: np.ndarray, final: bool = False, maker=None) -> FileInstance:
@@ -145,7 +180,7 @@ def instance_of(obj, depsgraph, placement: np.ndarray, final: bool = False, make
     except fg.FastGSError as error:
         trouble = str(error)
     return FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj, clock(depsgraph.scene)[0]), settings, obj.pass_index,
-                        points=point_edits.carried_of(obj, depsgraph), trouble=trouble)
+                        points=point_edits.carried_of(obj, depsgraph), part=obj.fastgs.part, trouble=trouble)
 
 
 def clock(scene) -> tuple[float, float]:
@@ -165,9 +200,18 @@ def retime_of(obj, frame: float) -> Retime:
 
 def settings_of(obj, depsgraph, final: bool = False) -> ObjectSettings:
     """How an evaluated object shows its model, in final pictures or in viewports."""
-    filters = tuple(Filter(item.kind, item.low, item.high, item.mode == 'KEEP', item.colour) for item in obj.fastgs.filters if item.use)
-    return replace(looks_of(obj, final), crops=crops.crops_of(obj, depsgraph), filters=filters, mask=obj.fastgs.mask,
-                   backdrop=obj.fastgs.backdrop)
+    return replace(looks_of(obj, final), crops=crops.crops_of(obj, depsgraph), filters=filters_of(obj),
+                   mask=parts.within(obj.fastgs.part, obj.fastgs.mask), backdrop=obj.fastgs.backdrop)
+
+
+def filters_of(obj) -> tuple[Filter, ...]:
+    """The filters of an object that are used."""
+    return tuple(filter_of(item) for item in obj.fastgs.filters if item.use)
+
+
+def filter_of(item) -> Filter:
+    """A filter of an object as the library's."""
+    return Filter(item.kind, item.low, item.high, item.mode == 'KEEP', item.colour)
 
 
 def looks_of(obj, final: bool) -> ObjectSettings:

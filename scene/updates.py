@@ -26,6 +26,12 @@ def shown(group, context):
     viewports(group, context)
 
 
+def picked(group, context):
+    """Update callback of what is selected: viewports alone show it, and the object's mesh need not be evaluated."""
+    group.id_data.update_tag(refresh={'OBJECT'})
+    viewports(group, context)
+
+
 def meshes(group, context):
     """Update callback of *Render With Meshes*: set up what joins splats and meshes, or take it away."""
     for listener in mesh_listeners:

@@ -11,6 +11,7 @@ from . import (
     manual,
     menus,
     object_panels,
+    parts_panel,
     preferences,
     render_panels,
     splats_panel,
@@ -20,7 +21,7 @@ from . import (
 )
 
 CLASSES = classes_of(
-    object_panels, render_panels, splats_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences)
+    object_panels, render_panels, splats_panel, parts_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences)
 register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 

@@ -45,10 +45,17 @@ def draw_sound(self, context):
     self.layout.operator("fastgs.add_sound", text="Sound of 4D Gaussians", icon='SOUND')
 
 
+def draw_select(self, context):
+    """The 3D view's Select menu."""
+    self.layout.separator()
+    self.layout.menu("FASTGS_MT_select")
+
+
 MENUS = (
     (bpy.types.TOPBAR_MT_file_import, draw_import),
     (bpy.types.TOPBAR_MT_file_export, draw_export),
     (bpy.types.VIEW3D_MT_object, draw_bake),
+    (bpy.types.VIEW3D_MT_select_object, draw_select),
     (bpy.types.VIEW3D_MT_camera_add, draw_camera),
     (bpy.types.VIEW3D_MT_view_cameras, draw_camera_below),
     (bpy.types.VIEW3D_MT_view_align, draw_camera_below),

@@ -77,14 +77,6 @@ def draw_look(layout, context):
         layout.operator("fastgs.reset_look", icon='LOOP_BACK')
 
 
-def draw_erased(layout, context):
-    """Draw what can be done with what was erased, if anything was."""
-    if context.object.fastgs.mask:
-        row = layout.row(align=True)
-        row.operator("fastgs.show_hidden", icon='HIDE_OFF')
-        row.operator("fastgs.invert_hidden", icon='ARROW_LEFTRIGHT')
-
-
 def draw_size(self, context):
     """How large a splat object is, below its scale in Blender's panel Transform."""
     if is_ours(context.object):
@@ -223,51 +215,6 @@ class FASTGS_PT_object_look(_Part, bpy.types.Panel):
 
     def draw(self, context):
         draw_look(self.layout, context)
-
-
-class FASTGS_PT_object_crop(_Part, bpy.types.Panel):
-    bl_label = "Crop"
-
-    def draw(self, context):
-        layout = self.layout
-        layout.use_property_decorate = False
-        boxes = context.object.fastgs.crops
-        for index, item in enumerate(boxes):
-            row = layout.row(align=True)
-            row.prop(item, "use", text="")
-            row.prop(item, "object", text="")
-            row.prop(item, "shape", text="", icon_only=True)  # with their words, names of objects are cut
-            row.prop(item, "mode", text="", icon_only=True)
-            row.prop(item, "soft", text="Soft")
-            row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
-        layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
-        if boxes:
-            layout.operator("fastgs.apply_crop", icon='FILE_TICK')
-
-
-class FASTGS_PT_object_filters(_Part, bpy.types.Panel):
-    bl_label = "Filters"
-
-    def draw(self, context):
-        layout = self.layout
-        layout.use_property_decorate = False
-        for index, item in enumerate(context.object.fastgs.filters):
-            col = layout.column(align=True)
-            row = col.row(align=True)
-            row.prop(item, "use", text="")
-            row.prop(item, "mode", text="")
-            row.prop(item, "kind", text="")
-            row.operator("fastgs.separate", text="", icon='MOD_EXPLODE').index = index
-            row.operator("fastgs.remove_filter", text="", icon='X').index = index
-            row = col.row(align=True)
-            if item.kind == 'COLOUR':
-                sub = row.row(align=True)
-                sub.ui_units_x = 2  # as wide as the numbers, it would cut their names
-                sub.prop(item, "colour", text="")
-            row.prop(item, "low")
-            row.prop(item, "high")
-        layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
-        draw_erased(layout, context)
 
 
 class FASTGS_PT_object_points(_Part, bpy.types.Panel):

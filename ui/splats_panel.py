@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import bpy
 
-from .object_panels import Sidebar, draw_erased, draw_error, draw_other_engine, is_ours
-from .tools import TOOLS
+from .object_panels import Sidebar, draw_error, draw_other_engine, is_ours
 
 
 class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
@@ -26,10 +25,6 @@ class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
         if context.object.fastgs.camera_count:
             row.operator("fastgs.look_through", text="", icon='OUTLINER_OB_CAMERA')
         row.operator("fastgs.store_view", text="", icon='FILE_TICK')
-        row = layout.row(align=True)
-        for tool, text, icon in zip(TOOLS, ("Erase", "Lasso", "Box"), ('BRUSH_DATA', 'NONE', 'NONE'), strict=True):
-            row.operator("wm.tool_set_by_id", text=text, icon=icon).name = tool.bl_idname
-        draw_erased(layout, context)
         draw_settings_button(layout, context)
         draw_other_engine(layout, context)
 
@@ -38,7 +33,7 @@ def draw_settings_button(layout, context):
     """Draw the button that shows the object's panel in a properties editor of the window; where there is none, its place in words."""
     for number, area in enumerate(context.screen.areas):
         if area.type == 'PROPERTIES':
-            props = layout.operator("wm.context_set_enum", text="Time, Look, Crop ...", icon='OBJECT_DATA')
+            props = layout.operator("wm.context_set_enum", text="Time, Look ...", icon='OBJECT_DATA')
             props.data_path, props.value = f"screen.areas[{number}].spaces.active.context", 'OBJECT'
             return
     layout.label(text="More in Object Properties", icon='OBJECT_DATA')

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The tools in the 3D view's toolbar that erase splats: a round brush, a lasso and a box."""
+"""The tools in the 3D view's toolbar that select Gaussians, and those that erase them."""
 from __future__ import annotations
 
 import bpy
@@ -7,72 +7,99 @@ from gpu_extras.presets import draw_circle_2d
 
 from ..scene import objects
 
-RADIUS = "scene.fastgs.eraser_radius"
+RADIUS = "scene.fastgs.brush_radius"
+ROUND = {'CIRCLE', 'BALL'}
+"""Shapes with a radius."""
 
 
-def _strokes(shape: str) -> tuple:
-    """What the left button does in a tool: it hides; with Shift or Ctrl it shows again."""
-    strokes = [("fastgs.brush", {"type": 'LEFTMOUSE', "value": 'PRESS'}, {"properties": [("shape", shape)]})]
-    strokes += [("fastgs.brush", {"type": 'LEFTMOUSE', "value": 'PRESS', key: True}, {"properties": [("shape", shape), ("show", True)]})
-                for key in ("shift", "ctrl")]
-    return tuple(strokes)
+def _press(key: str, operator: str, modifier: str = "", **properties) -> tuple:
+    """An entry of a tool's key map."""
+    event = {"type": key, "value": 'PRESS'} | ({modifier: True} if modifier else {})
+    return operator, event, {"properties": list(properties.items())}
+
+
+KEYS = (
+    _press('A', "fastgs.select_kind", kind='ALL'),
+    _press('A', "fastgs.select_kind", "alt", kind='NONE'),
+    _press('I', "fastgs.select_kind", "ctrl", kind='INVERSE'),
+    _press('P', "fastgs.separate"),
+    _press('J', "fastgs.join_parts", "ctrl"),
+    *(_press(key, "fastgs.erase") for key in ('X', 'DEL', 'H')),
+    _press('H', "fastgs.show_hidden", "alt"),
+    _press('E', "wm.context_toggle", data_path="scene.fastgs.show_erased"),
+)
+"""Of all tools, as Edit Mode has them; E shows what was erased."""
+SIZE = (
+    _press('F', "wm.radial_control", data_path_primary=RADIUS),
+    *(("wm.context_scale_float", {"type": key, "value": 'PRESS', "repeat": True}, {"properties": [("data_path", RADIUS), ("value", share)]})
+      for key, share in (('LEFT_BRACKET', 0.87), ('RIGHT_BRACKET', 1.15))),
+)
+
+
+def _strokes(shape: str, *ways: tuple[str, str]) -> tuple:
+    """What the left button does in a tool: nothing held, with Shift, with Ctrl; each as (what, mode)."""
+    return tuple(_press('LEFTMOUSE', "fastgs.select_gaussians", modifier, shape=shape, what=what, mode=mode)
+                 for modifier, (what, mode) in zip(("", "shift", "ctrl"), ways, strict=True))
 
 
 class _Tool:
     bl_space_type = 'VIEW_3D'
     bl_context_mode = 'OBJECT'
+    bl_cursor = 'CROSSHAIR'
 
     @staticmethod
     def draw_settings(context, layout, tool):
         if context.object is None or not objects.is_splat(context.object):
             layout.label(text="Select a splat object first", icon='INFO')
             return
-        if tool.idname == FASTGS_eraser.bl_idname:
-            layout.prop(context.scene.fastgs, "eraser_radius")
-        layout.operator("fastgs.show_hidden", icon='HIDE_OFF')
-        layout.operator("fastgs.invert_hidden", icon='ARROW_LEFTRIGHT')
+        shape = next(cls.shape for cls in TOOLS if cls.bl_idname == tool.idname)
+        if shape in ROUND:
+            layout.prop(context.scene.fastgs, "brush_radius")
+        if tool.idname.startswith("fastgs.erase"):
+            layout.prop(context.scene.fastgs, "show_erased")
+            return
+        if shape != 'CLICK':
+            layout.prop(context.scene.fastgs, "select_through")
+        layout.menu("FASTGS_MT_select", text="Select")
 
 
-class FASTGS_eraser(_Tool, bpy.types.WorkSpaceTool):
-    bl_idname = "fastgs.eraser"
-    bl_label = "Erase Splats"
-    bl_description = ("Hide Gaussians of the active object under a brush.\n"
-                      "Shift or Ctrl shows them again; F or [ ] sets the size")
-    bl_icon = "brush.gpencil_draw.erase"
-    bl_cursor = 'CROSSHAIR'
-    bl_keymap = (
-        *_strokes('CIRCLE'),
-        ("wm.radial_control", {"type": 'F', "value": 'PRESS'}, {"properties": [("data_path_primary", RADIUS)]}),
-        *(("wm.context_scale_float", {"type": key, "value": 'PRESS', "repeat": True},
-           {"properties": [("data_path", RADIUS), ("value", share)]})
-          for key, share in (('LEFT_BRACKET', 0.87), ('RIGHT_BRACKET', 1.15))),
-    )
-
-    @staticmethod
-    def draw_cursor(context, tool, xy):
-        if hasattr(context.scene, "fastgs"):  # Blender calls this until another tool is chosen, even without the extension
-            draw_circle_2d(xy, (1.0, 1.0, 1.0, 1.0), context.scene.fastgs.eraser_radius, segments=48)
+def _tool(shape: str, name: str, label: str, description: str, icon: str, erases: bool) -> type:
+    """A tool of the toolbar."""
+    ways = [('ERASE', 'SET'), ('RESTORE', 'SET'), ('RESTORE', 'SET')] if erases else [
+        ('SELECT', 'SET'), ('SELECT', 'ADD'), ('SELECT', 'SUBTRACT')]
+    round_ = shape in ROUND
+    more = "Shift or Ctrl shows them again" if erases else "Shift adds, Ctrl takes away"
+    members = {
+        "bl_idname": f"fastgs.{'erase' if erases else 'select'}_{name}", "bl_label": label, "bl_icon": icon, "shape": shape,
+        "bl_description": f"{description}.\n{more}{'; F or [ ] sets the size' if round_ else ''}",
+        "bl_keymap": (*_strokes(shape, *ways), *KEYS, *(SIZE if round_ else ()))}
+    if shape == 'CIRCLE':
+        members["draw_cursor"] = staticmethod(_draw_radius)
+    return type(f"FASTGS_{'erase' if erases else 'select'}_{name}", (_Tool, bpy.types.WorkSpaceTool), members)
 
 
-class FASTGS_lasso_eraser(_Tool, bpy.types.WorkSpaceTool):
-    bl_idname = "fastgs.lasso_eraser"
-    bl_label = "Lasso Erase Splats"
-    bl_description = "Hide Gaussians of the active object around which a line is drawn.\nShift or Ctrl shows them again"
-    bl_icon = "ops.sculpt.lasso_hide"
-    bl_cursor = 'CROSSHAIR'
-    bl_keymap = _strokes('LASSO')
+def _draw_radius(context, tool, xy):
+    if hasattr(context.scene, "fastgs"):  # Blender calls this until another tool is chosen, even without the extension
+        draw_circle_2d(xy, (1.0, 1.0, 1.0, 1.0), context.scene.fastgs.brush_radius, segments=48)
 
 
-class FASTGS_box_eraser(_Tool, bpy.types.WorkSpaceTool):
-    bl_idname = "fastgs.box_eraser"
-    bl_label = "Box Erase Splats"
-    bl_description = "Hide Gaussians of the active object in a box.\nShift or Ctrl shows them again"
-    bl_icon = "ops.sculpt.border_hide"
-    bl_cursor = 'CROSSHAIR'
-    bl_keymap = _strokes('BOX')
-
-
-TOOLS = (FASTGS_eraser, FASTGS_lasso_eraser, FASTGS_box_eraser)
+SELECTING = (
+    _tool('CLICK', "thing", "Select Splats: Thing", "Select what is clicked and all that belongs to it", "ops.generic.select", False),
+    _tool('BOX', "box", "Select Splats: Box", "Select Gaussians of the active object in a box", "ops.generic.select_box", False),
+    _tool('LASSO', "lasso", "Select Splats: Lasso", "Select Gaussians of the active object around which a line is drawn",
+          "ops.generic.select_lasso", False),
+    _tool('CIRCLE', "brush", "Select Splats: Brush", "Select Gaussians of the active object under a brush", "ops.generic.select_circle",
+          False),
+    _tool('BALL', "ball", "Select Splats: Sphere", "Select Gaussians of the active object in a ball around what is clicked",
+          "ops.mesh.primitive_sphere_add_gizmo", False),
+)
+ERASING = (
+    _tool('CIRCLE', "brush", "Erase Splats", "Hide Gaussians of the active object under a brush", "brush.gpencil_draw.erase", True),
+    _tool('LASSO', "lasso", "Lasso Erase Splats", "Hide Gaussians of the active object around which a line is drawn",
+          "ops.sculpt.lasso_hide", True),
+    _tool('BOX', "box", "Box Erase Splats", "Hide Gaussians of the active object in a box", "ops.sculpt.border_hide", True),
+)
+TOOLS = (*SELECTING, *ERASING)
 
 
 def _known() -> bool:
@@ -81,9 +108,13 @@ def _known() -> bool:
 
 
 def register():
-    if _known():
-        for number, tool in enumerate(TOOLS):
-            bpy.utils.register_tool(tool, after={TOOLS[number - 1].bl_idname} if number else None, separator=not number)
+    if not _known():
+        return
+    for group in (SELECTING, ERASING):
+        for number, tool in enumerate(group):
+            first = not number
+            bpy.utils.register_tool(tool, after=None if first else {group[number - 1].bl_idname}, separator=first and group is SELECTING,
+                                    group=first)
 
 
 def unregister():

@@ -71,6 +71,13 @@ class Viewports:
         return self._once("splats", lambda: snapshot.take(depsgraph, lambda obj: _visible(obj, space), rendered), space, depsgraph,
                           rendered)
 
+    def drawn_of(self, space, depsgraph, rendered: bool = False) -> snapshot.Snapshot:
+        """The same as it is drawn: overlays colour what is selected."""
+        shown, erased = self.snapshot_of(space, depsgraph, rendered), depsgraph.scene.fastgs.show_erased
+        if not space.overlay.show_overlays:
+            return shown
+        return self._once("drawn", lambda: shown.tinted(erased), space, depsgraph, rendered, erased)
+
     def has_surfaces(self, space, depsgraph) -> bool:
         """Whether a viewport shows surfaces beside splats."""
         return self._once("surfaces", lambda: any(
@@ -153,7 +160,7 @@ class Viewports:
 
     def _draw(self, context, depsgraph, display, rendered, hidden=False, data=None):
         space, region = context.space_data, context.region
-        shown = self.snapshot_of(space, depsgraph, rendered)
+        shown = self.drawn_of(space, depsgraph, rendered)
         self._forget_closed()
         view = self.views.get((region.as_pointer(), rendered))
         if view is None:

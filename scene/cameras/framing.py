@@ -115,7 +115,7 @@ def _estimated(splat, fit: float) -> Look | None:
     """The look of somebody who stands where the Gaussians' shapes say that cameras stood, or nearer so that a subject seen whole from `fit`
     away is large; None where they say nothing."""
     world = space.world_matrix(splat, "")
-    model, t = objects.load_model(objects.abspath(splat)).moment(0.5)
+    model, t = objects.source_of(splat).moment(0.5)
     found = filmed_from(model, t, np.array(world[2][:3]) / max(Vector(world[2][:3]).length, 1e-30))
     if found is None:
         return None

@@ -39,7 +39,7 @@ def filmed_side(splat, centre: Vector) -> Side | None:
         world, cameras = space.world_matrix(splat, ""), surroundings_of(splat).cameras
         if cameras:
             return _around([world @ Vector(camera.position) - centre for camera in cameras], BESIDE)
-        model, t = objects.load_model(objects.abspath(splat)).moment(0.5)
+        model, t = objects.source_of(splat).moment(0.5)
     except FastGSError:  # the move itself needs no file
         return None
     up = Vector(world[2][:3])

@@ -6,7 +6,7 @@ import bpy
 import numpy as np
 
 from ... import fastgs_blender as fg
-from .. import model_space, objects, snapshot
+from .. import model_space, objects, parts, snapshot
 from ..time import clip_frame
 
 ROWS = 512
@@ -21,7 +21,7 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
     The region is made of the Gaussians of the splat object that are visible on the current frame within `radius` of the 3D cursor;
     `smooth` is the number of frames over which its motion is averaged.  Raises FastGSError where there are none.
     """
-    model = objects.load_one_model(obj, "followed from frame to frame")
+    model = parts.part_of(objects.load_one_model(obj, "followed from frame to frame"), obj.fastgs.part)
     fps = scene.render.fps / scene.render.fps_base
     world = model_space.placement(obj)
 

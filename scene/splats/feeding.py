@@ -59,7 +59,7 @@ def feed(obj, settings, scene) -> None:
     if not every and proxy.limit_of(mesh) != proxy.EVERY:
         return
     try:
-        source = objects.load_model(objects.abspath(obj))
+        source = objects.source_of(obj)
         if not every:
             proxy.fill(mesh, source, proxy.LIMIT, model_space.model_matrix(obj))
             obj.data.update_tag()

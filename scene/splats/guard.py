@@ -105,7 +105,7 @@ def _look_at(obj):
         return
     name = obj.name
     try:
-        model = objects.load_model(objects.abspath(obj))
+        model = objects.source_of(obj)
     except FastGSError:  # the panel says why
         return
     if text is JOINED and not points.all():

@@ -74,7 +74,7 @@ def _shows_points(mesh) -> bool:
 def _move(obj, depsgraph):
     stored = obj.original.data
     try:
-        source = objects.load_model(objects.abspath(obj))
+        source = objects.source_of(obj)
         frame, fps = snapshot.clock(depsgraph.scene)
         retime, settings = snapshot.retime_of(obj, frame), snapshot.settings_of(obj, depsgraph)
         frames = shown_frames(frame, fps, retime, source.clip)

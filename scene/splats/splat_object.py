@@ -77,7 +77,7 @@ def show_file(obj: bpy.types.Object, path: str) -> None:
 def refresh(obj: bpy.types.Object) -> None:
     """Let an object's facts and proxy follow its file.  Raises FastGSError, and changes nothing, where the file cannot be read."""
     path = objects.abspath(obj)
-    model = objects.load_model(path)
+    model = objects.source_of(obj)
     if not obj.is_editable:
         return
     write_facts(obj, model, path)

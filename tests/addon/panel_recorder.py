@@ -78,7 +78,7 @@ class Layout:
     def label(self, text="", icon='NONE', translate=True):
         self._note("label", text, icon, text_width(text) + (PADDING / 2 if text else 0))
 
-    def prop(self, data, name, text=None, icon='NONE', icon_only=False, expand=False):
+    def prop(self, data, name, text=None, icon='NONE', icon_only=False, expand=False, toggle=False):
         assert name in data.bl_rna.properties, name
         known = data.bl_rna.properties[name]
         label = known.name if text is None else text
@@ -107,6 +107,10 @@ class Layout:
     def progress(self, factor=0.0, text=""):
         assert 0 <= factor <= 1
         self._note("progress", text, 'NONE', text_width(text) + PADDING)
+
+    def menu(self, name, text=None, icon='NONE'):
+        label = getattr(bpy.types, name).bl_label if text is None else text
+        self._note("menu", name, icon, text_width(label) + PADDING + UNIT, label)
 
     def operator(self, name, text=None, icon='NONE'):
         module, function = name.split(".")

@@ -53,7 +53,7 @@ def erasing(model):
     low, high = (bpy.context.window_manager.windows[0].height - y for y in (top + height - 5, top + 5))
     with within(area):
         bpy.ops.ed.undo_push(message="Imported")  # a script's import is no undo step, a user's is
-    yield from choose("fastgs.box_eraser", area)
+    yield from choose("fastgs.erase_box", area)
     yield from drag([(left + 5, low), (left + width / 2, high)])
     facts["mask"] = splat().fastgs.mask
     area.spaces.active.show_region_toolbar = False
@@ -81,14 +81,14 @@ def strokes(model):
     region = next(region for region in area.regions if region.type == 'WINDOW')
     middle = region.x + region.width / 2, region.y + region.height / 2
     across = [(middle[0] + dx, middle[1] + 0.2 * dx) for dx in range(-140, 141, 20)]
-    yield from choose("fastgs.eraser", area)
+    yield from choose("fastgs.erase_brush", area)
     yield from drag([middle, middle])
     facts = {"nothing": splat().fastgs.mask}
     splat().select_set(True)
     bpy.context.view_layer.objects.active = splat()
-    scene.fastgs.eraser_radius = 30
+    scene.fastgs.brush_radius = 30
     yield from press('RIGHT_BRACKET', area)
-    facts.update(radius=scene.fastgs.eraser_radius, frame=scene.frame_current - splat().fastgs.start_frame, **seen_by(area))
+    facts.update(radius=scene.fastgs.brush_radius, frame=scene.frame_current - splat().fastgs.start_frame, **seen_by(area))
     facts["path"] = [(int(x) - region.x, int(y) - region.y) for x, y in across]
     yield from drag(across)
     shot("eraser-dragged")
@@ -101,7 +101,7 @@ def strokes(model):
     facts["undone"] = splat().fastgs.mask
     with within(area):
         bpy.ops.fastgs.show_hidden()
-    yield from choose("fastgs.lasso_eraser", area)
+    yield from choose("fastgs.erase_lasso", area)
     around = [(middle[0] + dx, middle[1] + dy) for dx, dy in ((-150, -60), (-100, 90), (20, 40), (120, 110), (90, -80))]
     facts["lasso"] = [(int(x) - region.x, int(y) - region.y) for x, y in around]
     yield from drag(around)

@@ -148,28 +148,28 @@ def test_operators(obj, module, seen, scene):
         bpy.ops.fastgs.remove_crop_box(index=1)
     assert bpy.ops.fastgs.remove_crop_box(index=0) == {'FINISHED'}
     assert not obj.fastgs.crops and box.name in scene.objects and len(seen()) == 10
-    assert not bpy.ops.fastgs.remove_crop_box.poll() and not bpy.ops.fastgs.apply_crop.poll()
+    assert not bpy.ops.fastgs.remove_crop_box.poll() and not bpy.ops.fastgs.delete_for_good.poll()
 
 
-def test_apply_writes_what_is_left(obj, fg, seen, scene, tmp_path):
+def test_delete_for_good_writes_what_is_left(obj, fg, seen, scene, tmp_path):
     """The Gaussians that are in the box on any frame become a file of their own; the one of before is as it was."""
     scene.render.film_transparent = True
     before = Path(obj.fastgs.filepath).read_bytes()
     add_box(obj, 0.82, 2.0)  # reached by those that begin to the right of -0.1, in the last frame at the latest
     target = tmp_path / "left.safetensors"
     with pytest.raises(RuntimeError, match="choose another name"):
-        bpy.ops.fastgs.apply_crop(filepath=obj.fastgs.filepath)
-    assert bpy.ops.fastgs.apply_crop(filepath=str(target)) == {'FINISHED'}
+        bpy.ops.fastgs.delete_for_good(filepath=obj.fastgs.filepath)
+    assert bpy.ops.fastgs.delete_for_good(filepath=str(target)) == {'FINISHED'}
     assert [round(float(x), 1) for x in fg.load(target).position[:, 0]] == row_between(-0.11, 1)
     assert obj.fastgs.filepath == str(target) and obj.fastgs.gaussian_count == 6 and not obj.fastgs.crops
     assert seen() == row_between(-0.11, 1)
     assert (tmp_path / "model.safetensors").read_bytes() == before
 
 
-def test_apply_refuses_to_write_nothing(obj, tmp_path):
+def test_it_refuses_to_write_nothing(obj, tmp_path):
     add_box(obj, 5.0, 6.0)
-    with pytest.raises(RuntimeError, match="leave nothing"):
-        bpy.ops.fastgs.apply_crop(filepath=str(tmp_path / "left.safetensors"))
+    with pytest.raises(RuntimeError, match="shows nothing"):
+        bpy.ops.fastgs.delete_for_good(filepath=str(tmp_path / "left.safetensors"))
     assert not (tmp_path / "left.safetensors").exists() and len(obj.fastgs.crops) == 1
 
 
@@ -220,20 +220,22 @@ def test_spheres_meshes_and_soft_edges(obj, seen, scene, render):
         bpy.ops.fastgs.add_crop_box(shape='MESH')
 
 
-def test_filters_and_what_they_separate(obj, module, seen, scene):
+def test_filters_and_what_they_select(obj, seen, scene):
     scene.render.film_transparent = True
-    obj.select_set(True)
     for preset in ('FLOATERS', 'LARGE', 'FAINT', 'MOVING', 'STATIC', 'SHORT', 'COLOUR'):
         assert bpy.ops.fastgs.add_filter(preset=preset) == {'FINISHED'}
         assert obj.fastgs.filters[-1].low < obj.fastgs.filters[-1].high
         bpy.ops.fastgs.remove_filter(index=0)
     bpy.ops.fastgs.add_filter(preset='STATIC')
     assert seen() == []  # all of the row moves
-    bpy.ops.fastgs.separate(index=0)
-    assert bpy.context.object is not obj and bpy.context.object.fastgs.filters[0].mode == 'HIDE' and len(seen()) == 10
-    obj.fastgs.filters[0].use = False
-    bpy.data.objects.remove(bpy.context.object)
-    assert len(seen()) == 10
+    item = obj.fastgs.filters[0]
+    item.kind, item.low, item.high, item.mode = 'COLOUR', 0.0, 0.5, 'HIDE'
+    item.colour = (0.8, 0.8, 0.8)
+    assert seen() == []
+    assert bpy.ops.fastgs.select_filtered(index=0) == {'FINISHED'}
+    assert not item.use and obj.fastgs.selection and len(seen()) == 10
+    with pytest.raises(RuntimeError, match="no number 7"):
+        bpy.ops.fastgs.select_filtered(index=7)
 
 
 def test_a_lost_box_crops_nothing(obj, seen, scene):

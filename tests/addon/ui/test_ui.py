@@ -187,11 +187,11 @@ def test_broken_file_is_red_once_it_was_tried(panels, obj, tmp_path):
 
 
 def test_crop_boxes_are_listed(panels, obj):
-    assert texts(drawn(panels["FASTGS_PT_object_crop"]), "operator") == ["fastgs.add_crop_box"]
+    assert texts(drawn(panels["FASTGS_PT_parts_crop"]), "operator") == ["fastgs.add_crop_box"]
     bpy.ops.fastgs.add_crop_box()
-    record = drawn(panels["FASTGS_PT_object_crop"])
+    record = drawn(panels["FASTGS_PT_parts_crop"])
     assert texts(record, "prop") == ["use", "object", "shape", "mode", "soft"]
-    assert texts(record, "operator") == ["fastgs.remove_crop_box", "fastgs.add_crop_box", "fastgs.apply_crop"]
+    assert texts(record, "operator") == ["fastgs.remove_crop_box", "fastgs.add_crop_box"]
 
 
 def test_threads_say_what_they_mean(panels, module, scene, monkeypatch):
@@ -328,28 +328,35 @@ def test_the_manual_of_every_operator_and_property_is_a_page_that_is_there(modul
     assert (pages["bpy.ops.fastgs.bake"].name, pages["bpy.ops.fastgs.train"].name) == ("baking.md", "training-in-blender.md")
 
 
-def test_the_toolbar_has_tools_that_erase(module, obj, scene):
-    """The left button hides, with Shift or Ctrl it shows again; the tools' header says what to do, and has the brush's radius."""
+def test_the_toolbar_selects_and_erases(module, obj, scene):
+    """The left button, with Shift and with Ctrl; the tools' header says what to do; keys as in Edit Mode, and those of the size."""
     tools, keymaps = module("ui.tools"), bpy.context.window_manager.keyconfigs.addon.keymaps
-    for tool, shape in zip(tools.TOOLS, ('CIRCLE', 'LASSO', 'BOX'), strict=True):
-        strokes = [item for item in keymaps[tool._bl_tool.keymap[0]].keymap_items if item.idname == "fastgs.brush"]
+    shapes = ['CLICK', 'BOX', 'LASSO', 'CIRCLE', 'BALL', 'CIRCLE', 'LASSO', 'BOX']
+    for number, (tool, shape) in enumerate(zip(tools.TOOLS, shapes, strict=True)):
+        erases = number > 4
+        items = keymaps[tool._bl_tool.keymap[0]].keymap_items
+        strokes = [item for item in items if item.idname == "fastgs.select_gaussians"]
         assert [(item.type, item.value, item.shift, item.ctrl) for item in strokes] == [
             ('LEFTMOUSE', 'PRESS', shift, ctrl) for shift, ctrl in ((False, False), (True, False), (False, True))]
-        assert [(item.properties.shape, item.properties.show) for item in strokes] == [(shape, False), (shape, True), (shape, True)]
+        assert [(item.properties.what, item.properties.mode) for item in strokes] == (
+            [('ERASE', 'SET'), ('RESTORE', 'SET'), ('RESTORE', 'SET')] if erases else
+            [('SELECT', 'SET'), ('SELECT', 'ADD'), ('SELECT', 'SUBTRACT')])
+        assert {item.properties.shape for item in strokes} == {shape}
         layout = Layout(kind="row")
         tool.draw_settings(bpy.context, layout, SimpleNamespace(idname=tool.bl_idname))
-        assert ("eraser_radius" in texts(layout.record, "prop")) is (shape == 'CIRCLE')
-        assert texts(layout.record, "operator") == ["fastgs.show_hidden", "fastgs.invert_hidden"]
+        assert ("brush_radius" in texts(layout.record, "prop")) is (shape in {'CIRCLE', 'BALL'})
+        assert ("select_through" in texts(layout.record, "prop")) is (not erases and shape != 'CLICK')
         layout = Layout(kind="row")
         tool.draw_settings(SimpleNamespace(object=None), layout, SimpleNamespace(idname=tool.bl_idname))
         assert "Select" in texts(layout.record)[0]
-    sizes = {item.type: item for item in keymaps[tools.FASTGS_eraser._bl_tool.keymap[0]].keymap_items if item.idname != "fastgs.brush"}
-    scene.fastgs.eraser_radius = 40
-    assert sizes['F'].properties.data_path_primary == "scene.fastgs.eraser_radius"
+        assert {item.idname for item in items} >= {"fastgs.separate", "fastgs.erase", "fastgs.show_hidden", "fastgs.join_parts"}
+    sizes = {item.type: item for item in keymaps[tools.ERASING[0]._bl_tool.keymap[0]].keymap_items if item.idname.startswith("wm.")}
+    scene.fastgs.brush_radius = 40
+    assert sizes['F'].properties.data_path_primary == "scene.fastgs.brush_radius"
     for key, radius in (('RIGHT_BRACKET', 46), ('LEFT_BRACKET', 40)):
         props = sizes[key].properties
         bpy.ops.wm.context_scale_float(data_path=props.data_path, value=props.value)
-        assert scene.fastgs.eraser_radius == pytest.approx(radius, abs=0.1)
+        assert scene.fastgs.brush_radius == pytest.approx(radius, abs=0.1)
 
 
 def test_the_sidebar_shows_the_objects_panel(panels, obj):

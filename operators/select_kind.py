@@ -1,0 +1,81 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Operators that select Gaussians of the active object for what they are."""
+from __future__ import annotations
+
+import bpy
+from bpy.props import EnumProperty, FloatVectorProperty, IntProperty
+
+from ..fastgs_blender.model.edits import state_of
+from ..fastgs_blender.selecting import kinds
+from ..scene import objects, selection, snapshot
+from .action import EDITABLE_SPLATS, Action, Need, item_of
+
+WAYS = (
+    ('SET', "Set", "They alone are selected", 0),
+    ('ADD', "Add", "They are selected too", 1),
+    ('SUBTRACT', "Subtract", "They are taken out of the selection", 2),
+    ('AND', "Intersect", "Of what is selected, they stay so", 3),
+)
+PLAIN = (
+    ('ALL', "All", "Select all that the object shows", 0),
+    ('NONE', "None", "Select nothing", 1),
+    ('INVERSE', "Inverse", "Select what is not selected, and nothing else", 2),
+)
+KINDS = tuple((key, kind.label, f"Select {kind.meaning}", number) for number, (key, kind) in enumerate(kinds.KINDS.items(), len(PLAIN)))
+
+
+class _Selecting(Action):
+    needs = (EDITABLE_SPLATS,)
+
+    mode: EnumProperty(name="Mode", description="What becomes of the selection", items=WAYS, default='SET', options={'SKIP_SAVE'})
+
+
+class FASTGS_OT_select_kind(_Selecting, bpy.types.Operator):
+    """Select Gaussians of the active object for what they are"""
+
+    bl_idname = "fastgs.select_kind"
+    bl_label = "Select Gaussians by Kind"
+
+    kind: EnumProperty(name="Kind", description="What is selected", items=PLAIN + KINDS)
+    colour: FloatVectorProperty(
+        name="Colour", description="The colour that is looked for; unset it is that of what is selected", subtype='COLOR_GAMMA', size=3,
+        default=(0.0, 1.0, 0.0), min=0.0, max=1.0, options={'SKIP_SAVE'})
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_split = True
+        layout.prop(self, "kind")
+        if self.kind == 'COLOUR':
+            layout.prop(self, "colour")
+        if self.kind not in {'NONE', 'INVERSE'}:
+            layout.prop(self, "mode")
+
+    def act(self, context):
+        obj = context.object
+        shown, before = selection.shown(obj), selection.bits(obj, "selection")
+        if self.kind == 'NONE':
+            selection.clear(obj)
+            return "Nothing is selected"
+        found = {'ALL': shown, 'INVERSE': shown & ~before}.get(self.kind)
+        if found is None:
+            model = objects.load_one_model(obj, "selected")
+            if self.kind == 'COLOUR' and before.any() and not self.properties.is_property_set("colour"):
+                self.colour = state_of(model.take(before), 0.5).colour.mean(0)
+            found = shown & kinds.chosen(model, self.kind, tuple(self.colour))
+        return f"{selection.select(obj, found, 'SET' if self.kind == 'INVERSE' else self.mode):,} Gaussians selected"
+
+
+class FASTGS_OT_select_filtered(_Selecting, bpy.types.Operator):
+    """Select what this filter means, and switch the filter off, so that it is seen"""
+
+    bl_idname = "fastgs.select_filtered"
+    bl_label = "Select Filtered"
+    needs = (EDITABLE_SPLATS, Need(lambda context: len(context.object.fastgs.filters) > 0, "The object has no filters"))
+
+    index: IntProperty(name="Index", description="Which of the object's filters", min=0)
+
+    def act(self, context):
+        obj = context.object
+        item_of(obj.fastgs.filters, self.index).use = False
+        found = snapshot.filter_of(obj.fastgs.filters[self.index]).holds(objects.load_one_model(obj, "selected"))
+        return f"{selection.select(obj, found & selection.shown(obj), self.mode):,} Gaussians selected"

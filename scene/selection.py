@@ -1,0 +1,144 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Selects, erases and restores Gaussians of a splat object, and writes files of what is left of it.
+
+The object holds the masks, so that undo and .blend files have them.
+"""
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from .. import fastgs_blender as fg
+from ..fastgs_blender.rendering.crops import cropped
+from ..fastgs_blender.rendering.filters import hidden
+from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
+from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, under
+from . import objects, parts, snapshot
+
+STROKES = {"wanted", "refused"}
+"""Masks of what was drawn over: Grow to the Thing begins with them, and other ways to select forget them."""
+
+
+def bits(obj, name: str) -> np.ndarray:
+    """One of an object's masks ("mask", "selection", "wanted", "refused") or its "part": [N] bool of its file's Gaussians."""
+    count, text = len(objects.load_one_model(obj, "selected")), getattr(obj.fastgs, name)
+    return np.ones(count, bool) if name == "part" and not text else unpack_mask(text, count)
+
+
+def put(obj, **masks: np.ndarray) -> None:
+    """Give an object masks [N] bool, by their names."""
+    for name, mask in masks.items():
+        text = pack_mask(mask)
+        if text != getattr(obj.fastgs, name):
+            setattr(obj.fastgs, name, text)
+
+
+def clear(obj) -> None:
+    """Select nothing of an object, and forget the strokes."""
+    for name in {"selection", *STROKES}:
+        if getattr(obj.fastgs, name):
+            setattr(obj.fastgs, name, "")
+
+
+def own(obj) -> np.ndarray:
+    """Which Gaussians of its file an object has and were not erased: [N] bool."""
+    return bits(obj, "part") & ~bits(obj, "mask")
+
+
+def shown(obj) -> np.ndarray:
+    """The same, but for what the object's filters hide."""
+    found, filters = own(obj), snapshot.filters_of(obj)
+    if filters:
+        found[np.flatnonzero(bits(obj, "part"))[hidden(objects.source_of(obj), filters)]] = False
+    return found
+
+
+def drawn(obj, found: np.ndarray, how: str) -> bool:
+    """Take what was drawn over [N] into the selection: 'SET', 'ADD' or 'SUBTRACT'.  Returns whether anything has changed."""
+    before = tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
+    if how == 'SET':
+        put(obj, selection=found, wanted=found, refused=np.zeros_like(found))
+    elif how == 'ADD':
+        put(obj, selection=bits(obj, "selection") | found, wanted=bits(obj, "wanted") | found, refused=bits(obj, "refused") & ~found)
+    else:
+        put(obj, selection=bits(obj, "selection") & ~found, wanted=bits(obj, "wanted") & ~found, refused=bits(obj, "refused") | found)
+    return before != tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
+
+
+def select(obj, found: np.ndarray, how: str = 'SET') -> int:
+    """Select Gaussians [N] of an object otherwise than by strokes: 'SET', 'ADD', 'SUBTRACT' or 'AND'.  Returns how many are selected."""
+    before = bits(obj, "selection")
+    after = own(obj) & {'SET': found, 'ADD': before | found, 'SUBTRACT': before & ~found, 'AND': before & found}[how]
+    clear(obj)
+    put(obj, selection=after)
+    return int(after.sum())
+
+
+def erase(obj, found: np.ndarray, hide: bool = True) -> int:
+    """Hide Gaussians [N] of an object, or show them again; what is hidden is not selected.  Returns how many have changed."""
+    before = bits(obj, "mask")
+    after = before | found if hide else before & ~found
+    count = int(np.count_nonzero(after != before))
+    if count:
+        put(obj, mask=after, **{name: bits(obj, name) & ~after for name in ("selection", *STROKES) if getattr(obj.fastgs, name)})
+    return count
+
+
+class Sight:
+    """What a camera sees of a scene's splats on its frame, and which of them lie under what is drawn in its picture."""
+
+    def __init__(self, depsgraph, camera: fg.Camera):
+        self.camera = camera
+        self.pairs, _ = snapshot.take(depsgraph, rendered=False).pairs()
+
+    @cached_property
+    def surface(self) -> np.ndarray:
+        """How deep that lies which is seen, see seen_surface()."""
+        return seen_surface([instance for _, instance in self.pairs], self.camera)
+
+    def ball(self, pixel: tuple[float, float], radius: float) -> Ball | None:
+        """A ball around what is seen at a pixel, which looks so many pixels large; None where nothing is seen."""
+        return Ball.on(self.surface, self.camera, pixel, radius)
+
+    def under(self, obj, shape: Shape, through: bool = True, erased: bool = False) -> np.ndarray:
+        """Which Gaussians of an object's file it shows under a shape: [N] bool; `erased`: those that were erased, too.
+
+        through  however deep they lie, and not only those that are seen
+        """
+        out = np.zeros(len(objects.load_one_model(obj, "selected")), bool)
+        own = parts.rows(obj.fastgs.part) if obj.fastgs.part else slice(None)
+        for item, instance in self.pairs:
+            if item.name == obj.name:
+                settings = replace(instance.settings, mask="") if erased else instance.settings
+                found = under(replace(instance, settings=settings).viewed(self.camera), self.camera, shape,
+                              None if through else self.surface)
+                out[own] |= found
+        return out
+
+
+def hides_anything(obj) -> bool:
+    """Whether an object leaves anything of its file out."""
+    settings = obj.fastgs
+    return bool(settings.part or settings.mask or any(item.use and item.object for item in settings.crops)
+                or any(item.use for item in settings.filters))
+
+
+def write_left(obj, depsgraph, target: str) -> tuple[int, int]:
+    """Write what an object's part, mask, filters and crops leave of its file as the file `target`; returns (how many, of how many).
+
+    Raises FastGSError where nothing is left or the file cannot be written, and refuses the file that the object shows.
+    """
+    source = objects.abspath(obj)
+    if Path(target).resolve() == Path(source).resolve():
+        raise fg.FastGSError(f"{target}: this is the file that the object shows; choose another name for what is left of it.")
+    whole = objects.load_one_model(obj, "written as one file")
+    model, settings = objects.source_of(obj), snapshot.settings_of(obj.evaluated_get(depsgraph), depsgraph)
+    gone = hidden(model, settings.filters, settings.mask)
+    left = cropped(model.take(~gone) if len(gone) else model, settings.crops)
+    if not len(left):
+        raise fg.FastGSError("the object shows nothing of the model; nothing was written.")
+    fg.save(left, target)
+    return len(left), len(whole)

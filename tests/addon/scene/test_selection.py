@@ -1,0 +1,119 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Gaussians that are hidden by hand: what F12 shows, what undo and .blend files keep, the operators."""
+from __future__ import annotations
+
+import bpy
+import numpy as np
+import pytest
+
+
+@pytest.fixture
+def row(fg, model_file, add_camera, scene):
+    """Ten Gaussians along x from -0.9 to 0.9, imported, before a camera 64 pixels and 4 units wide."""
+    x = np.linspace(-0.9, 0.9, 10)
+    model = fg.GaussianModel(
+        position=np.stack([x, 0 * x, 0 * x], 1), rotation=np.tile([1.0, 0, 0, 0], (10, 1)), scale=np.full((10, 3), np.log(0.02)),
+        opacity=np.full(10, 4.0), features=np.full((10, 3), 0.8), axes="RFU")
+    add_camera(type='ORTHO', ortho_scale=4.0)
+    scene.render.film_transparent = True
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    return bpy.context.object
+
+
+def count(render):
+    columns = np.flatnonzero(render()["ViewLayer.Combined"][..., 3].max(0) > 0.2)
+    return int((np.diff(columns) > 1).sum() + 1) if len(columns) else 0
+
+
+@pytest.fixture
+def stroke(module, row, scene, now):
+    """stroke(low, high, hide=True): a box over these pixels in x, in the scene's camera."""
+    selection, shapes = module("scene.selection"), module("fastgs_blender.selecting.shapes")
+
+    def go(low, high, hide=True):
+        bpy.context.view_layer.update()
+        sight = selection.Sight(bpy.context.evaluated_depsgraph_get(), now(scene.camera))
+        return selection.erase(row, sight.under(row, shapes.Box((low, 0), (high, 48)), erased=not hide), hide)
+
+    return go
+
+
+def test_hidden_shown_inverted(row, stroke, render):
+    assert count(render) == 10
+    assert stroke(0, 32) == 5 and count(render) == 5
+    assert stroke(0, 38) == 2 and stroke(0, 38) == 0 and count(render) == 3
+    assert stroke(20, 30, hide=False) == 3 and count(render) == 6
+    bpy.ops.fastgs.invert_hidden()
+    assert count(render) == 4
+    copy = row.copy()
+    assert copy.fastgs.mask == row.fastgs.mask
+    bpy.ops.fastgs.show_hidden()
+    assert count(render) == 10 and not bpy.ops.fastgs.show_hidden.poll()
+
+
+def test_undo_and_files_keep_it(row, stroke, tmp_path, module):
+    name = row.name
+    bpy.ops.ed.undo_push(message="before")
+    stroke(0, 32)
+    bpy.ops.ed.undo_push(message="Hide Gaussians")
+    kept = row.fastgs.mask
+    assert kept
+    bpy.ops.ed.undo()
+    assert not bpy.data.objects[name].fastgs.mask
+    bpy.ops.ed.redo()
+    assert bpy.data.objects[name].fastgs.mask == kept
+    path = str(tmp_path / "kept.blend")
+    bpy.ops.wm.save_as_mainfile(filepath=path)
+    bpy.ops.wm.open_mainfile(filepath=path)
+    assert bpy.data.objects[name].fastgs.mask == kept and module("scene.selection").bits(bpy.data.objects[name], "mask").sum() == 5
+
+
+def test_strokes_want_a_view(row):
+    with pytest.raises(RuntimeError, match="in a 3D view"):
+        bpy.ops.fastgs.select_gaussians(path=[{"name": "", "loc": (1, 1), "time": 0}])
+
+
+def test_strokes_and_kinds_select(row, module, stroke, fg):
+    """Strokes set, add and take away, and remember what was taken away; kinds forget the strokes and leave out what was erased."""
+    selection = module("scene.selection")
+    bits = lambda name="selection": np.flatnonzero(selection.bits(row, name)).tolist()  # noqa: E731
+    some = lambda *rows: np.isin(np.arange(10), rows)  # noqa: E731
+    assert selection.drawn(row, some(1, 2, 3), 'SET') and selection.drawn(row, some(5), 'ADD')
+    assert selection.drawn(row, some(2, 8), 'SUBTRACT')
+    assert (bits(), bits("wanted"), bits("refused")) == ([1, 3, 5], [1, 3, 5], [2, 8])
+    assert not selection.drawn(row, some(2, 8), 'SUBTRACT')
+    stroke(0, 20)  # erases two
+    erased = bits("mask")
+    assert erased and bpy.ops.fastgs.select_kind(kind='ALL') == {'FINISHED'}
+    assert bits() == sorted(set(range(10)) - set(erased)) and not bits("wanted") and not bits("refused")
+    bpy.ops.fastgs.select_kind(kind='NONE')
+    assert not row.fastgs.selection and not bpy.ops.fastgs.separate.poll() and not bpy.ops.fastgs.erase.poll()
+    selection.select(row, some(9))
+    bpy.ops.fastgs.select_kind(kind='INVERSE')
+    assert bits() == sorted(set(range(9)) - set(erased))
+    bpy.ops.fastgs.select_kind(kind='COLOUR', colour=(0.8, 0.8, 0.8))
+    assert len(bits()) == 10 - len(erased)
+    bpy.ops.fastgs.select_kind(kind='COLOUR', colour=(0.0, 0.8, 0.8), mode='AND')
+    assert not bits()
+    selection.select(row, some(4, 5))
+    assert bpy.ops.fastgs.erase() == {'FINISHED'} and bits("mask") == sorted([*erased, 4, 5]) and not bits()
+
+
+def test_only_what_is_seen_is_selected_unless_through(fg, module, model_file, add_camera, scene, now):
+    """A small Gaussian behind an opaque wall of many is selected through the wall alone; a ball takes what is near its middle in space."""
+    x, z = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30)))
+    place = np.concatenate([np.stack([x, 0 * x, z], 1), [[0.0, 2.0, 0.0]]])
+    model = fg.GaussianModel(position=place, rotation=np.tile([1.0, 0, 0, 0], (901, 1)), scale=np.full((901, 3), np.log(0.05)),
+                             opacity=np.full(901, 6.0), features=np.full((901, 3), 0.5), axes="RFU")
+    add_camera(type='ORTHO', ortho_scale=4.0)
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    selection, shapes, obj = module("scene.selection"), module("fastgs_blender.selecting.shapes"), bpy.context.object
+    sight = selection.Sight(bpy.context.evaluated_depsgraph_get(), now(scene.camera))
+    around = shapes.Box((28, 20), (36, 28))
+    seen, through = (sight.under(obj, around, through) for through in (False, True))
+    assert seen.sum() > 20 and not seen[900] and through[900] and (through & ~seen).sum() == 1
+    ball = sight.ball((32, 24), 8)
+    inside = sight.under(obj, ball)
+    assert not inside[900] and np.array_equal(np.flatnonzero(inside), np.flatnonzero(np.hypot(*place[:, ::2].T) * (place[:, 1] == 0)
+                                              + 9 * (place[:, 1] > 0) <= ball.radius)) and 0.45 < ball.radius < 0.55
+    assert sight.ball((2, 2), 8) is None

@@ -1,0 +1,112 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The sidebar's panel Select and Parts: all that chooses which Gaussians of an object are shown, and by which object."""
+from __future__ import annotations
+
+import bpy
+
+from ..operators.select_kind import KINDS, PLAIN
+from .object_panels import Sidebar, is_ours
+from .tools import ERASING, SELECTING
+
+
+class FASTGS_MT_select(bpy.types.Menu):
+    bl_label = "Splats"
+
+    def draw(self, context):
+        layout = self.layout
+        for kind, label, _, _ in PLAIN:
+            layout.operator("fastgs.select_kind", text=label).kind = kind
+        layout.separator()
+        for kind, label, _, _ in KINDS:
+            layout.operator("fastgs.select_kind", text=label).kind = kind
+
+
+class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
+    bl_label = "Select and Parts"
+
+    @classmethod
+    def poll(cls, context):
+        return is_ours(context.object)
+
+    def draw(self, context):
+        layout, settings, scene = self.layout, context.object.fastgs, context.scene.fastgs
+        _draw_tools(layout, SELECTING, "Select", ('RESTRICT_SELECT_OFF', 'SELECT_SET', 'NONE', 'NONE', 'NONE'),
+                    ("Thing", "Box", "Lasso", "Brush", "Ball"))
+        layout.prop(scene, "select_through", text="Through to the Back")
+        layout.menu("FASTGS_MT_select", text="Select")
+        row = layout.row(align=True)
+        row.operator("fastgs.separate", icon='MOD_EXPLODE')
+        row.operator("fastgs.join_parts")
+        if settings.part:
+            layout.operator("fastgs.show_whole")
+
+
+class _Below(Sidebar):
+    bl_parent_id = "FASTGS_PT_parts"
+    bl_options = {'DEFAULT_CLOSED'}
+
+
+class FASTGS_PT_parts_erase(_Below, bpy.types.Panel):
+    bl_label = "Erase"
+    bl_options = set()
+
+    def draw(self, context):
+        layout = self.layout
+        _draw_tools(layout, ERASING, "Erase", ('BRUSH_DATA', 'NONE', 'NONE'), ("Brush", "Lasso", "Box"))
+        row = layout.row(align=True)
+        row.operator("fastgs.erase", icon='HIDE_ON')
+        row.operator("fastgs.show_hidden", icon='HIDE_OFF')
+        if context.object.fastgs.mask:
+            row = layout.row(align=True)
+            row.prop(context.scene.fastgs, "show_erased", toggle=True)
+            row.operator("fastgs.invert_hidden", text="Swap")
+        layout.operator("fastgs.delete_for_good", icon='TRASH')
+
+
+class FASTGS_PT_parts_crop(_Below, bpy.types.Panel):
+    bl_label = "Crop"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_decorate = False
+        for index, item in enumerate(context.object.fastgs.crops):
+            col = layout.column(align=True)
+            row = col.row(align=True)
+            row.prop(item, "use", text="")
+            row.prop(item, "object", text="")
+            row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
+            row = col.row(align=True)
+            row.prop(item, "shape", text="", icon_only=True)  # with their words the number is cut
+            row.prop(item, "mode", text="", icon_only=True)
+            row.prop(item, "soft", text="Soft")
+        layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
+
+
+class FASTGS_PT_parts_filters(_Below, bpy.types.Panel):
+    bl_label = "Filters"
+
+    def draw(self, context):
+        layout = self.layout
+        layout.use_property_decorate = False
+        for index, item in enumerate(context.object.fastgs.filters):
+            col = layout.column(align=True)
+            row = col.row(align=True)
+            row.prop(item, "use", text="")
+            row.prop(item, "mode", text="")
+            row.prop(item, "kind", text="")
+            row.operator("fastgs.select_filtered", text="", icon='RESTRICT_SELECT_OFF').index = index
+            row.operator("fastgs.remove_filter", text="", icon='X').index = index
+            col = col.column(align=True)
+            if item.kind == 'COLOUR':
+                col.prop(item, "colour", text="")
+            row = col.row(align=True)
+            row.prop(item, "low", text="")
+            row.prop(item, "high", text="")
+        layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
+
+
+def _draw_tools(layout, tools, what: str, icons, names):
+    """Draw the buttons that choose tools of the toolbar."""
+    row = layout.row(align=True)
+    for tool, icon, name in zip(tools, icons, names, strict=True):
+        row.operator("wm.tool_set_by_id", text=name, icon=icon).name = tool.bl_idname
