@@ -21,14 +21,14 @@ help:
 # The stamps depend on pyproject.toml, so a changed dependency is installed by the next make.
 .venv/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@tools/make_venv.sh .venv 3.11 5.0.1 train,torch
-.venv313/ready: pyproject.toml
+.venv313/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@tools/make_venv.sh .venv313 3.13 5.2.3
-.venvs/4.2.23/ready: pyproject.toml
+.venvs/4.2.23/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@mkdir -p .venvs && tools/make_venv.sh .venvs/4.2.23 3.11 4.2.23
-.venvs/4.5.15/ready: pyproject.toml
+.venvs/4.5.15/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@mkdir -p .venvs && tools/make_venv.sh .venvs/4.5.15 3.11 4.5.15
 
-.venvs/site/ready: pyproject.toml tools/constraints.txt
+.venvs/site/ready: pyproject.toml tools/constraints.txt tools/wheels.txt
 	@mkdir -p .venvs && tools/make_venv.sh .venvs/site 3.11 "" site
 
 demo: .venv/ready

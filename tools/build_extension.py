@@ -77,7 +77,7 @@ def build(name: str, bundled: list[Path], out: Path, website: str | None = None,
             (stage / NOTICES).write_text(wheels.notices(bundled), "utf-8")
         manifest.write_text(completed(manifest.read_text("utf-8"), wheels.platform_of(name), bundled, website, store), "utf-8")
         facts = tomllib.loads(manifest.read_text("utf-8"))
-        (stage / INSIDE).write_text(sbom.text(facts, bundled, stage / "examples" / "fireside.safetensors", made()), "utf-8")
+        (stage / INSIDE).write_text(sbom.text(facts, bundled, stage, made()), "utf-8")
         target = out / f"{'-'.join(part for part in (facts['id'], facts['version'], name) if part)}.zip"
         pack(stage, target)
     blender_ext("validate", str(target))

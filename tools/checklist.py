@@ -20,6 +20,7 @@ from functools import cached_property
 from pathlib import Path, PurePosixPath
 
 import build_extension
+import sbom
 import wheels
 
 LARGEST = 200_000_000
@@ -117,17 +118,23 @@ def readable(zip_: Zip) -> list[str]:
 def licensed(zip_: Zip) -> list[str]:
     """The code is GPL-3.0-or-later, each module says so, and the example is CC0-1.0 (terms 1)"""
     found = [] if zip_.manifest["license"] == ["SPDX:GPL-3.0-or-later"] else ["manifest"]
-    found += [name for name in zip_.trees if "SPDX-License-Identifier: GPL-3.0-or-later" not in zip_.text(name)[:200]]
+    code = [name for name in zip_.names if name.endswith((".py", ".js", ".css")) and "/vendored/" not in name]
+    found += [name for name in code if "SPDX-License-Identifier: GPL-3.0-or-later" not in zip_.text(name)[:200]]
     return found if "CC0 1.0" in zip_.text("examples/LICENSE.txt") else [*found, "examples/LICENSE.txt"]
 
 
 def credited(zip_: Zip) -> list[str]:
-    """Whoever made a wheel is named in the manifest, its licence in THIRD-PARTY.md, itself in the SBOM (terms 3.8)"""
-    found = [holder for holder in wheels.holders(zip_.wheels) if holder not in zip_.manifest["copyright"]]
-    listed = {part["bom-ref"] for part in json.loads(zip_.text("sbom.cdx.json"))["components"]}
+    """Whoever made a part is named in the manifest, its licence in THIRD-PARTY.md or the part, itself in the SBOM (terms 3.8)"""
+    listed = {part["bom-ref"]: part for part in json.loads(zip_.text("sbom.cdx.json"))["components"]}
+    owners = [*wheels.holders(zip_.wheels), *(part["copyright"] for name, part in listed.items() if name.endswith(".js"))]
+    found = [owner for owner in owners if owner not in zip_.manifest["copyright"]]
+    for name in zip_.names:
+        if name.endswith(".whl") or "/vendored/" in name or name in sbom.EXAMPLES:
+            part = listed.get(PurePosixPath(name).name)
+            found += [] if part and part["hashes"][0]["content"] == zip_.digest(name) else [name]
     packages = {wheel.name.split("-")[0].replace("_", "-").lower() for wheel in zip_.wheels}
     told = {line.split(" | ")[0].strip("| ").lower() for line in zip_.text("THIRD-PARTY.md").splitlines() if line.startswith("| ")}
-    return [*found, *sorted({wheel.name for wheel in zip_.wheels} - listed), *sorted(packages - told)]
+    return [*found, *sorted(packages - told)]
 
 
 def unmodified(zip_: Zip) -> list[str]:

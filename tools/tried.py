@@ -97,7 +97,7 @@ def main(folder: Path) -> None:
     allowed = [own, asked, folder / "temporary", Path(os.devnull), home.parents[1]]  # into the last, Blender installs the wheels
     allowed += [Path(chosen) for chosen in [os.environ.get("FASTGS_CACHE_DIR")] if chosen]
     for path in sorted(watch.written):
-        if not any(Path(path).is_relative_to(place) for place in allowed) and not str(own).startswith(path):
+        if not any(Path(path).is_relative_to(place) or place.is_relative_to(path) for place in allowed):  # or a folder that leads to one
             print(f"NO it wrote {path}")
     for path in folder.iterdir():
         if path not in (user, asked, folder / "temporary"):
