@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from functools import cache
 
+import bpy
 import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
@@ -32,6 +33,9 @@ void main()
 }
 """
 UVS = [(1.0, 1.0), (1.0, 0.0), (0.0, 0.0), (0.0, 1.0)]
+
+MOVING = bpy.app.version < (5, 3)
+"""Whether pictures of films and sequences are shown: gpu.texture.from_image() of Blender 5.3.0 knows frame 0 alone."""
 
 _textures: dict[str, tuple] = {}
 
@@ -126,6 +130,8 @@ def _texture(camera, frame: int, playing: bool):
         return None
     image = background.image
     still = image.source == 'FILE'
+    if not (still or MOVING):
+        return None
     key = image.as_pointer(), 0 if still else image_frame(background.image_user, frame)
     found = _textures.get(camera.name_full)
     if found is not None and (found[0] == key or (playing and found[0][0] == key[0])):

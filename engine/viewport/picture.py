@@ -116,9 +116,7 @@ class Picture:
                         shader, batch = shaders.splats(features, own)
                         inputs = {"t_table": upload(table), "t_order": order.texture, "t_geometry": atlas.geometry,
                                   "t_colour": atlas.colour, "t_depth": seen}  # they must live until they are drawn
-                        shader.bind()
-                        for name, texture in inputs.items():
-                            shader.uniform_sampler(name, texture)
+                        shaders.bind(shader, inputs)
                         batch.draw_instanced(shader, instance_count=order.count)
         self._drawn = same
 

@@ -121,10 +121,18 @@ def _finish(info, vertex, fragment):
 
 def fill(shader, batch, inputs):
     """Draw a shader over the whole of the active framebuffer; its textures must live until then."""
-    shader.bind()
-    for name, texture in inputs.items():
-        shader.uniform_sampler(name, texture)
+    bind(shader, inputs)
     batch.draw(shader)
+
+
+def bind(shader, inputs):
+    """Bind a shader and its textures, which are named in the order of their slots.
+
+    Slot 0 comes last: with OpenGL, Blender 5.3.0 puts the texture that is bound last there too.
+    """
+    shader.bind()
+    for name, texture in reversed(inputs.items()):
+        shader.uniform_sampler(name, texture)
 
 
 @contextmanager

@@ -56,6 +56,10 @@ class _Layout:
         kind = getattr(bpy.types, name)
         _draw(kind, f"{self.path}{text or kind.bl_label} > ", self.found)
 
+    def column(self, **_):
+        """Entries that are shown or grey together."""
+        return self
+
     def separator(self, **_):
         """A line."""
 

@@ -168,6 +168,7 @@ def test_a_library_override_too(objects, shot, tmp_path, relative):
     bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "other.blend"))
     with bpy.data.libraries.load(str(shot / "shot.blend"), link=True, relative=relative) as (_, wanted):
         wanted.objects = ["Splats"]
+    bpy.context.scene.collection.objects.link(wanted.objects[0])  # Blender 5.3 overrides what is in the scene alone
     override = wanted.objects[0].override_create()
     bpy.context.scene.collection.objects.link(override)
     override.fastgs.speed = 3

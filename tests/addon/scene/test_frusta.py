@@ -29,6 +29,8 @@ def film(tmp_path):
 @pytest.fixture
 def camera(film, scene):
     """A camera at the origin that looks along -z, with the film behind it from the scene's frame 10 on."""
+    if bpy.app.version >= (5, 3):
+        pytest.skip("Blender 5.3.0 gives add-ons no frames of sequences")
     obj = bpy.data.objects.new("Filmed", bpy.data.cameras.new("Filmed"))
     scene.collection.objects.link(obj)
     scene.render.resolution_x, scene.render.resolution_y = 300, 200
