@@ -16,7 +16,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..cameras.viewpoints import camera_of
 from ..model.appearance import Features
-from ..model.filmed_from import FORWARD, mean_direction
+from ..model.filmed_from import BAKED, mean_direction, one_sided
 from ..model.framing import is_subject, without_backdrop
 from ..model.gaussians import AXES, GaussianModel
 from ..model.pruning import scores
@@ -137,15 +137,15 @@ def resized(camera: Camera, width: int) -> Camera:
 def guessed_cameras(model: GaussianModel) -> list[Camera]:
     """Guesses the cameras of a capture for a model whose file does not name them.
 
-    Reconstructions usually have their origin among the cameras.  Where all Gaussians lie in one direction from the origin, the guessed
-    cameras are around the origin and look in that direction, some farther to the sides, nearer or farther away; else they are in a ring
-    around the subject.
+    Reconstructions usually have their origin among the cameras.  Where all Gaussians lie to one side of the origin, the guessed cameras are
+    around the origin and look to that side, some farther to the sides, nearer or farther away; else, and of a baked model, they are in a
+    ring around the subject.
     """
     part = _seen(model)
     position = part.position[is_subject(part.position)].astype(np.float64)
     down = np.array(DOWN[model.axes])
     mean = mean_direction(position)
-    if np.linalg.norm(mean) >= FORWARD:
+    if one_sided(position, -down) and model.provenance.get("source") != BAKED:
         depth = float(np.median(position @ mean) / np.linalg.norm(mean))
         frame = looking(np.zeros(3), mean, down)
         local = position @ frame[:, :3].T

@@ -16,6 +16,8 @@ from .framing import is_subject, without_backdrop
 from .gaussians import GaussianModel
 from .slicing import slice_model
 
+BAKED = "baked mesh"
+"""The source that the provenance of a baked model names: nobody has filmed it, and all of its sides are there."""
 FORWARD = 0.6
 """If the mean of the unit directions from the origin to the Gaussians is longer than this, all of them lie to one side of it."""
 LONG = 2.0
@@ -28,7 +30,8 @@ DIRECTIONS, STEPS, ROUNDS = 200, 24, 6
 """Places around the model that are tried at each distance; then, around the best one and the one opposite, in each round of smaller
 and smaller steps."""
 HEIGHT = 0.6
-"""Sine of the largest angle above and below the model: what stands upright, such as hair or grass, is seen end-on from above."""
+"""Sine of the largest angle above and below the model: what stands upright, such as hair or grass, is seen end-on from above, and what
+stands on the ground may have its origin between its feet."""
 DISTANCES = (1.0, 1.5, 2.0, 3.0, 5.0)
 """Tried distances from the model's middle, in median distances of its Gaussians from there."""
 OUTSIDE = 1.5
@@ -44,6 +47,8 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
     up  [3] unit vector, the model's direction upwards
     The same model gives the same place.
     """
+    if model.provenance.get("source") == BAKED:
+        return None
     inside = without_backdrop(model)
     rng = np.random.default_rng(0)
     if len(inside) > LOOKED_AT:
@@ -55,9 +60,7 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
         return None
     middle = np.median(now.position[subject], axis=0)
     size = np.median(np.linalg.norm(now.position[subject] - middle, axis=1))
-    ahead = mean_direction(now.position[subject])
-    one_sided = np.linalg.norm(ahead) > max(FORWARD, abs(ahead @ np.asarray(up, np.float64)) / HEIGHT)
-    if one_sided and OUTSIDE * size < np.linalg.norm(middle) < DISTANCES[-1] * size:
+    if one_sided(now.position[subject], up) and OUTSIDE * size < np.linalg.norm(middle) < DISTANCES[-1] * size:
         return np.zeros(3), middle
     long = np.flatnonzero(subject & (sizes[:, 2] > LONG * sizes[:, 1]))
     if len(long) < FEWEST:
@@ -84,6 +87,12 @@ def filmed_from(model: GaussianModel, t: float, up: np.ndarray) -> tuple[np.ndar
     eye = sides[end_on(sides).argmax()]
     clear = better > max(np.median(found) + CLEAR, worse + ONE_SIDED)
     return (middle + eye, middle) if clear and np.linalg.norm(eye) > OUTSIDE * size else None
+
+
+def one_sided(position: np.ndarray, up: np.ndarray) -> bool:
+    """Whether positions [M, 3] lie to one side of the origin, neither above nor below it."""
+    ahead = mean_direction(position)
+    return bool(np.linalg.norm(ahead) > max(FORWARD, abs(ahead @ np.asarray(up, np.float64)) / HEIGHT))
 
 
 def mean_direction(position: np.ndarray) -> np.ndarray:

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from ..model.filmed_from import BAKED
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
 from ..util import rotations
@@ -196,7 +197,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
         rotation_motion=rotations.multiply(turning.coefficients[turning.row], tilt[:, None]),
         rotation_basis=turning.basis, scale=np.log(sigma), opacity=np.log(alpha / (1 - alpha)),
         features=painted.rgba[:, :3], raster=CLOSED if closed else SPECKLED, clip=Clip(frame_count, fps, start_frame), axes="RFU",
-        provenance={"source": "baked mesh", **(provenance or {})},
+        provenance={"source": BAKED, **(provenance or {})},
     )
     triangle = int(samples.triangle[paths.sample])
     report = BakeReport(

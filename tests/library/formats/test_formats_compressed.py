@@ -14,6 +14,7 @@ from random_models import BASES, TEMPORALS, random_model
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import viewpoint_of
 from fastgs_blender.formats import columns, compressed, quantising, rate, refit, rounding, sensitivity, thinning
+from fastgs_blender.model.filmed_from import BAKED
 from fastgs_blender.model.pruning import pruned, scores
 from fastgs_blender.util.tensor_files import open_tensors
 
@@ -218,6 +219,16 @@ def test_every_second_four_shots_of_a_capture_are_framed():
     assert shapes == [(96, 72)] * 4 + [(96, 54)] * 4
     focal = [shot.camera.fx for shot in sensitivity.shots(filmed, 8, width=96)]
     assert focal[0] == pytest.approx(90) and focal[4] == pytest.approx(90 / sensitivity.FRAMED, rel=0.02)
+
+
+@pytest.mark.parametrize(("place", "source"), [((0.0, 0.0, 0.9), "figure.ply"), ((0.0, 4.0, 0.9), BAKED)], ids=["standing", "baked"])
+def test_what_stands_on_the_ground_is_measured_from_all_around(rng, place, source):
+    """The origin is between its feet, or beside it: neither is where cameras stood."""
+    position = place + rng.uniform(-1, 1, (400, 3)) * (0.3, 0.2, 0.9)
+    model = replace(random_model(rng, 400), position=position, axes="RFU", provenance={"source": source})
+    eyes = np.array([np.linalg.inv(shot.camera.world_to_camera)[:3, 3] for shot in sensitivity.shots(model, 40)]) - place
+    assert np.abs(eyes[:, :2]).max(1).min() > 0.5 and (eyes[:, 2] > 0).all()
+    assert all((eyes @ side).max() > 0.8 for side in np.array([[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0]]))
 
 
 def test_sensitivities_foretell_what_an_error_does():

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 import fastgs_blender as fg
-from fastgs_blender.model.filmed_from import filmed_from
+from fastgs_blender.model.filmed_from import BAKED, filmed_from
 from fastgs_blender.util.rotations import from_matrices
 
 N = 4000
@@ -62,6 +62,12 @@ def test_the_origin_is_among_the_cameras_of_what_lies_beside_it(rng, cloud, midd
     assert (place is not None) == found
     if found:
         assert np.array_equal(place[0], np.zeros(3)) and np.linalg.norm(place[1] - middle) < 0.3
+
+
+def test_nobody_has_filmed_a_bake(rng, cloud):
+    model = needles(rng, cloud - MIDDLE + (6.0, 9.0, -2.0), towards_cameras(rng, cloud))
+    model.provenance = {"source": BAKED}
+    assert filmed_from(model, 0.5, UP) is None
 
 
 @pytest.mark.parametrize("kind", ["anywhere", "parallel", "upright", "round", "few", "amid"])
