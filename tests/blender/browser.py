@@ -184,6 +184,7 @@ class Page:
         self.requests: list[str] = []
         self.messages: list[str] = []
         self.exceptions: list[str] = []
+        self.workers: list[str] = []
         self.loaded, self.own = False, "about:blank"
         browser.pages[session] = self
 
@@ -223,6 +224,7 @@ class Page:
             self.messages.append(f"{facts['entry']['level']}: {facts['entry']['text']}")
         elif method == "Target.attachedToTarget":  # a worker: its requests and errors are the page's
             self.browser.pages[facts["sessionId"]] = self
+            self.workers.append(facts["sessionId"])
             for each in ("Network.enable", "Runtime.enable", "Runtime.runIfWaitingForDebugger"):
                 self.browser.send(each, facts["sessionId"])
 
@@ -313,6 +315,15 @@ class Page:
         """The browser's figures of the tab, such as JSHeapUsedSize, ScriptDuration and TaskDuration (seconds)."""
         self.call("Performance.enable", timeDomain="threadTicks")
         return {each["name"]: each["value"] for each in self.call("Performance.getMetrics")["metrics"]}
+
+    def memory(self) -> list[float]:
+        """Bytes that the page's JavaScript holds, and that of each of its workers, with all arrays, after a collection."""
+        held = []
+        for session in (self.session, *self.workers):
+            self.browser.call("HeapProfiler.collectGarbage", session)
+            found = self.browser.call("Runtime.getHeapUsage", session)
+            held.append(found["usedSize"] + found["backingStorageSize"])
+        return held
 
     def close(self) -> None:
         """Close the tab."""

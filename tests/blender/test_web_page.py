@@ -6,6 +6,7 @@ import base64
 import re
 import shutil
 
+import page_load
 from conftest import EXAMPLE, library_camera
 from drawn_pages import decibels, expected, shown
 
@@ -44,4 +45,16 @@ def test_the_page_of_the_example_is_small_and_soon_ready(browser):
     tab.evaluate("fastgs.ready")
     print(f"{size / 1e6:.2f} MB, ready after {browser.cpu_seconds() - before:.2f} s of processor")
     assert size < 6e6 and not tab.requests
+    tab.close()
+
+
+def test_many_gaussians_leave_the_main_thread_to_the_hand(browser, tmp_path):
+    """Of the main thread a frame takes less than 8 ms of processor beside drawing; 200 frames hold no more memory than 20."""
+    tab = page_load.opened(browser, tmp_path)
+    first, later = page_load.scrubbed(tab, 20), page_load.scrubbed(tab, 180)
+    print(first, later)
+    assert later.main < 8
+    assert later.textures == first.textures < 150 * page_load.COUNT / 1e6
+    assert later.heap < first.heap + 1 and later.heap < 160 * page_load.COUNT / 1e6
+    assert not tab.requests and not tab.exceptions
     tab.close()

@@ -13,6 +13,7 @@ const DEGREE = Math.PI / 180;
 const STEEPEST = 89.5;
 const COAST = 0.22; // seconds in which a flick's speed falls to a third
 const FOLLOW = 0.045; // seconds in which two thirds of the way to the hand's view are gone
+const FULL = 0.7; // how far lenses for windows of another shape go towards the one that fills the window
 const RETURN = 0.8; // seconds of the way back to the opening view
 
 const dot = (a, b) => a[0] * b[0] + a[1] * b[1] + a[2] * b[2];
@@ -90,11 +91,11 @@ export function between(a, b, share) {
 }
 
 /**
- * A lens for a window of another shape.  The picture it was made for covers as many pixels as the window has: a wide picture
- * on an upright phone loses its sides and gains above and below, half of each.
+ * A lens for a window of another shape, between the one that fills it and the one that shows the whole picture: a wide picture on an
+ * upright phone loses much of its sides, and gains a little above and below, where cameras of a capture have seldom looked.
  */
 export function fitted(lens, width, height) {
-  const scale = Math.sqrt((width * height) / (lens.width * lens.height));
+  const [whole, full] = [width / lens.width, height / lens.height].sort((a, b) => a - b), scale = whole ** (1 - FULL) * full ** FULL;
   return { ...lens, width, height, fx: lens.fx * scale, fy: lens.fy * scale,
            cx: width / 2 + (lens.cx - lens.width / 2) * scale, cy: height / 2 + (lens.cy - lens.height / 2) * scale };
 }

@@ -11,12 +11,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
+from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import viewpoint_of
 from fastgs_blender.formats import rate, sensitivity, web
 from fastgs_blender.formats.web.page import Page, PageObject
-from fastgs_blender.formats.web.poster import poster
+from fastgs_blender.formats.web.poster import poster, shown
+from fastgs_blender.rendering.colour import linear_to_srgb
 
 pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
 CAMERA = fg.Camera(96, 64, 90.0, 90.0, 48.0, 32.0, fg.look_at((0, -5, 0), (0, 0, 0)))
@@ -93,6 +95,16 @@ def test_the_poster_is_the_opening_picture_over_the_background(model, tmp_path):
     linear = np.where(straight <= 0.04045, straight / 12.92, ((straight + 0.055) / 1.055) ** 2.4) * alpha + (1 - alpha) * (0.2, 0.4, 0.1)
     wanted = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 1e-9) ** (1 / 2.4) - 0.055)
     assert pixels.shape == (64, 96, 3) and np.abs(pixels - np.clip(wanted, 0, 1)).max() < 0.51 / 255 + 1e-4
+
+
+def test_the_background_is_behind_a_model_of_premultiplied_features(rng):
+    """Spacetime Gaussians light a picture even where they hardly are, if nothing is put behind it."""
+    model, background = random_model(rng, 60, appearance="stg", size=0.1), np.array([0.2, 0.4, 0.1])
+    picture = shown(Page([PageObject(model)], [CAMERA], background=background), 0, CAMERA)
+    alpha = fg.render(model, CAMERA, 0.0)["alpha"]
+    faint = (alpha > 0) & (alpha < 0.02)
+    assert faint.sum() > 50
+    assert np.abs(picture[faint] - linear_to_srgb(background)).max() < 0.05
 
 
 def test_a_crop_a_look_and_hidden_gaussians_reach_the_page(model):
