@@ -60,7 +60,7 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         items=(
             ('FRAME', "Frame", "What the scene shows on this frame, as one static file: with transforms, looks, crops and times", 0),
             ('RANGE', "Frame Range", "The same for each frame of a range, as numbered files", 1),
-            ('MODEL', "4D Model", "The active object's whole model as its file has it, with its motion", 2),
+            ('MODEL', "4D Model", "The active object's model with its motion: its file's, or its own part", 2),
         ), default='FRAME')
     static_format: EnumProperty(name="Format", description="The kind of file", items=_items(STATIC), default='PLY')
     moving_format: EnumProperty(name="Format", description="The kind of file", items=_items(MOVING), default='OWN')
@@ -187,7 +187,7 @@ def _model(context) -> fg.GaussianModel:
     obj = context.object
     if obj is None or not objects.is_splat(obj):
         raise fg.FastGSError("the active object shows no splats; make the object active whose model is to be exported.")
-    model = objects.load_model(objects.abspath(obj))
+    model = objects.source_of(obj)
     if not isinstance(model, fg.GaussianModel):
         raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
     return model

@@ -90,14 +90,22 @@ def erase(obj, found: np.ndarray, hide: bool = True) -> int:
 class Sight:
     """What a camera sees of a scene's splats on its frame, and which of them lie under what is drawn in its picture."""
 
+    _last: tuple = (None, None)
+    """State and surface of the last view that was asked: strokes follow each other in one view."""
+
     def __init__(self, depsgraph, camera: fg.Camera):
-        self.camera = camera
-        self.pairs, _ = snapshot.take(depsgraph, rendered=False).pairs()
+        self.camera, self.shown = camera, snapshot.take(depsgraph, rendered=False)
+        self.pairs, _ = self.shown.pairs()
 
     @cached_property
     def surface(self) -> np.ndarray:
         """How deep that lies which is seen, see seen_surface()."""
-        return seen_surface([instance for _, instance in self.pairs], self.camera)
+        c = self.camera
+        state = self.shown.state, objects.reloads(), (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.near, c.far, c.orthographic,
+                                                      c.world_to_camera.tobytes())
+        if Sight._last[0] != state:
+            Sight._last = state, seen_surface([instance for _, instance in self.pairs], c)
+        return Sight._last[1]
 
     def ball(self, pixel: tuple[float, float], radius: float) -> Ball | None:
         """A ball around what is seen at a pixel, which looks so many pixels large; None where nothing is seen."""

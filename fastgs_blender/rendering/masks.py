@@ -11,7 +11,7 @@ def pack_mask(bits: np.ndarray) -> str:
     """The text of a mask [N] bool; "" where nothing is hidden."""
     if not bits.any():
         return ""
-    return f"{len(bits)} {base64.b85encode(zlib.compress(np.packbits(bits).tobytes(), 9)).decode()}"
+    return f"{len(bits)} {base64.b85encode(zlib.compress(np.packbits(bits).tobytes(), 6)).decode()}"
 
 
 def unpack_mask(text: str, count: int) -> np.ndarray:

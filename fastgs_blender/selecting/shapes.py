@@ -58,14 +58,15 @@ class Lasso:
     def holds(self, pixel: np.ndarray) -> np.ndarray:
         """Which of the pixels [M, 2] lie in it: [M] bool."""
         pixel, corners = np.asarray(pixel, np.float64), np.asarray(self.points, np.float64)
-        order = np.argsort(pixel[:, 1], kind="stable")
+        out = np.zeros(len(pixel), bool)
+        around = np.flatnonzero(((pixel >= corners.min(0)) & (pixel <= corners.max(0))).all(1))
+        order = around[np.argsort(pixel[around, 1])]
         x, y = pixel[order].T
-        inside = np.zeros(len(pixel), bool)
+        inside = np.zeros(len(order), bool)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
             if y0 != y1:  # a side is to the right of those pixels in its height that the way to the right crosses
                 rows = slice(*np.searchsorted(y, sorted((y0, y1))))
                 inside[rows] ^= x[rows] < x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0)
-        out = np.empty_like(inside)
         out[order] = inside
         return out
 

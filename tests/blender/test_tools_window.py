@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from conftest import region_camera
+from conftest import read_png, region_camera
 from panel_widths import REGIONS
 
 import fastgs_blender as fg
@@ -30,6 +30,37 @@ def test_the_eraser_and_the_lasso(user, model):
     inside = np.zeros(len(model[0]), bool)
     inside[s.index[np.abs(turned) > np.pi]] = True
     assert inside.sum() > 500 and (bits["lassoed"] != inside).sum() <= 0.01 * inside.sum()
+
+
+def test_the_tools_that_select(user, model):
+    """What lies in the box by the library's projection; what is seen is a part of it; colours in every shading, none without overlays."""
+    facts = user.story("tools_window.selecting", window=True, model=model[1])
+    bits = {name: unpack_mask(text, len(model[0])) for name, text in facts["selections"].items()}
+    camera, s = region_camera(facts), fg.slice_model(model[0], model[0].clip.t_of_frame(facts["frame"]))
+    pixel = camera.pixels(np.c_[s.position, np.ones(len(s.position))] @ camera.world_to_camera.T[:, :3]) * (1, -1) + (0, camera.height)
+    low, high = np.sort(np.array(facts["box"]), 0)
+    inside = np.zeros(len(model[0]), bool)
+    inside[s.index[((pixel >= low) & (pixel <= high)).all(1)]] = True
+    assert inside.sum() > 500 and (bits["box"] != inside).sum() <= 0.01 * inside.sum()
+    assert 0.05 < bits["seen"].sum() / inside.sum() < 0.95 and not (bits["seen"] & ~bits["box"]).any()
+    refused = unpack_mask(facts["refused"], len(model[0]))
+    assert (bits["added"] & ~bits["box"]).sum() > 50 and not (bits["box"] & ~bits["added"]).any()
+    assert (refused & bits["added"]).sum() > 50 and np.array_equal(bits["taken"], bits["added"] & ~refused)
+    np.testing.assert_array_equal(bits["undone"], bits["added"])
+    assert 10 < bits["ball"].sum() < inside.sum()
+    name, part, parent = facts["part"]
+    assert name == "Part" and parent and np.array_equal(unpack_mask(part, len(model[0])), bits["ball"])
+
+    def coloured(name):
+        """How many pixels of a screenshot of the view are orange, and blue."""
+        red, green, blue = np.moveaxis(read_png(user.folder / f"{name}.png")[60:-60, 60:1100, :3], -1, 0)
+        return int(((red > 2.5 * blue) & (red > 1.2 * green) & (red > 0.25)).sum()), int(((blue > 2 * red) & (blue > 0.3)).sum())
+
+    before, plain = coloured("select-before"), coloured("select-without-overlays")
+    for shading in ("material", "workbench", "rendered"):
+        orange, blue = coloured(f"select-{shading}")
+        assert orange > before[0] + 2000 and blue > before[1] + 300, (shading, orange, blue, before)
+    assert coloured("select-solid")[0] > before[0] + 2000 and plain[0] < before[0] + 500
 
 
 def test_a_camera_made_here_sees_the_view(user, model):

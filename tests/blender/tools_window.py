@@ -110,6 +110,66 @@ def strokes(model):
     return facts
 
 
+def selecting(model):
+    """Each tool that selects, in a view from the side: by what is seen and through, with Shift and Ctrl; one step of undo; the colours of
+    the selection in every shading; then P makes a part, which moves aside."""
+    scene = bring(model)
+    look(scene, 640, 420)
+    area = area_of()
+    space = area.spaces.active
+    view = space.region_3d
+    view.view_rotation, view.view_location, view.view_distance = Euler((1.1, 0, 0.3)).to_quaternion(), (0, 0, 0.6), 6.0
+    scene.frame_set(12)
+    yield from settled("select-before")
+    with within(area):
+        bpy.ops.ed.undo_push(message="Imported")
+    bpy.context.view_layer.objects.active = splat()
+    region = next(region for region in area.regions if region.type == 'WINDOW')
+    middle = region.x + region.width / 2, region.y + region.height / 2
+    at = lambda *places: [(middle[0] + dx, middle[1] + dy) for dx, dy in places]  # noqa: E731
+    facts = {"frame": scene.frame_current - splat().fastgs.start_frame, **seen_by(area), "selections": {},
+             "box": [(int(x) - region.x, int(y) - region.y) for x, y in at((-120, -80), (10, 90))]}
+
+    def keep(name):
+        facts["selections"][name] = splat().fastgs.selection
+
+    yield from choose("fastgs.select_box", area)
+    yield from drag(at((-120, -80), (10, 90)))
+    keep("seen")
+    scene.fastgs.select_through = True
+    yield from drag(at((-120, -80), (10, 90)))
+    keep("box")
+    yield from settled("select-solid")
+    yield from choose("fastgs.select_lasso", area)
+    yield from drag(at((20, -60), (120, -80), (90, 60), (30, 20)), shift=True)
+    keep("added")
+    yield from choose("fastgs.select_brush", area)
+    yield from drag(at((-100, 0), (-60, 10), (-20, 0)), ctrl=True)
+    keep("taken")
+    facts["refused"] = splat().fastgs.refused
+    for name, shading, engine in (("material", 'MATERIAL', 'FASTGS'), ("workbench", 'RENDERED', 'BLENDER_WORKBENCH'),
+                                  ("rendered", 'RENDERED', 'FASTGS')):
+        scene.render.engine, space.shading.type = engine, shading
+        yield from settled(f"select-{name}")
+    space.overlay.show_overlays = False
+    yield from settled("select-without-overlays")
+    space.overlay.show_overlays, space.shading.type = True, 'SOLID'
+    with within(area):
+        bpy.ops.ed.undo()
+    keep("undone")
+    yield from choose("fastgs.select_ball", area)
+    yield from drag(at((-60, 0), (-30, 0)))
+    keep("ball")
+    yield from settled("select-ball")
+    yield from press('P', area)
+    part = bpy.context.view_layer.objects.active
+    facts["part"] = [part.name, part.fastgs.part, part.parent.name if part.parent else ""]
+    part.location.z += 1.0
+    yield from sidebar(area)
+    yield from settled("select-parted")
+    return facts
+
+
 def camera_here(model):
     """New Camera from View: the view before it, by Blender's own matrices, and the camera that was made."""
     scene = bring(model)
