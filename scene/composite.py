@@ -12,7 +12,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..fastgs_blender.rendering.passes import SHADOWS
-from . import joins, mesh_scene, shadows
+from . import joins, mesh_scene, passes_file, shadows
 from .holdout import with_meshes
 
 PATIENCE = 0.5
@@ -59,6 +59,7 @@ def _settle_all():
 
 def _settle(scene):
     if scene.fastgs.render_meshes == 'OFF' and mesh_scene.of(scene) is not None:
+        passes_file.follow(scene)
         joins.part(scene)
         mesh_scene.remove(scene)
         _renew_passes(scene)
@@ -87,6 +88,7 @@ def follow(scene) -> None:
             if new:
                 _renew_passes(shown)
     joins.join_all(scene)
+    passes_file.follow(scene)
 
 
 def _engine(chosen: str) -> str:

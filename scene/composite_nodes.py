@@ -3,7 +3,7 @@
 
 Where meshes hide splats, splats + meshes x the light that the holdout stops; elsewhere the nearer of
 (splats over meshes, meshes over splats), by the depth of each; all of it over the world.  Before that, the splats' shadows take from
-the meshes what these have of a lamp's light.
+the meshes what these have of a lamp's light, and the meshes' shadows, caught by shadow catchers, from the splats.
 
 At the edge of a mesh before splats before another mesh, the pixel's colour of the meshes is a mixture, and half of it belongs behind the
 splats.  There the first mesh has its colour from the pixels beside the edge that are wholly its own.
@@ -18,7 +18,7 @@ COLOUR, NUMBER = 'NodeSocketColor', 'NodeSocketFloat'
 INPUTS = (
     ("Splats", COLOUR, None), ("Splat Alpha", NUMBER, 0.0), ("Splat Depth", NUMBER, 1e10), ("Splat Holdout", NUMBER, 0.0),
     ("Meshes", COLOUR, None), ("Mesh Alpha", NUMBER, 0.0), ("Mesh Depth", NUMBER, 1e10),
-    ("World", COLOUR, None), ("Transparent", NUMBER, 0.0),
+    ("Shadow Catcher", COLOUR, (1.0, 1.0, 1.0, 1.0)), ("Catcher Bias", NUMBER, 0.2), ("World", COLOUR, None), ("Transparent", NUMBER, 0.0),
 )
 """Sockets of the group that joins: name, type, value where nothing is linked; nothing is transparent."""
 SHADED = ("Image", COLOUR, None), ("Lamp", COLOUR, None), ("Splat Shadow", NUMBER, 1.0), ("Shadow Strength", NUMBER, 1.0)
@@ -45,19 +45,25 @@ def join(tree: bpy.types.NodeTree) -> None:
     b = _begin(tree, INPUTS)
     given, math = b.given, b.math
     meshes = _alpha(b, 'Replace Alpha', given["Meshes"], given["Mesh Alpha"])
+    # what lies on a shadow catcher or behind it, but not what stands before it
+    caught = math('GREATER_THAN', math('ADD', given["Splat Depth"], given["Catcher Bias"]), given["Mesh Depth"])
+    splats = _alpha(b, 'Replace Alpha', _mix(b, 'MULTIPLY', caught, given["Splats"], given["Shadow Catcher"]), given["Splat Alpha"])
     # splats over (meshes x factor) = splats + straight meshes x holdout
     clear = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Alpha"]), given["Mesh Alpha"])
     free = math('LESS_THAN', given["Splat Holdout"], FAINT)
     factor = math('ADD', math('DIVIDE', given["Splat Holdout"], clear), free)
     held = _clean(b, _alpha(b, 'Apply Mask', meshes, factor), meshes, math('MULTIPLY', given["Mesh Alpha"], factor))
-    front = _over(b, held, given["Splats"])
-    back = _over(b, given["Splats"], meshes)
+    front = _over(b, held, splats)
+    back = _over(b, splats, meshes)
     nearer = b.node('CompositorNodeZcombine', (front, math('MULTIPLY', given["Splat Depth"], free), back, given["Mesh Depth"]))
     if hasattr(nearer, "use_alpha"):
         nearer.use_alpha = nearer.use_antialias_z = False
     else:
         nearer.inputs["Use Alpha"].default_value = nearer.inputs["Anti-Alias"].default_value = False
-    world = _alpha(b, 'Apply Mask', given["World"], math('SUBTRACT', 1.0, given["Transparent"]))
+    hole = math('MULTIPLY', math('LESS_THAN', given["Mesh Alpha"], FAINT),  # Blender's own holdouts, which show nothing
+                math('DIVIDE', given["Splat Holdout"], math('SUBTRACT', 1.0, given["Splat Alpha"])))
+    seen = math('MULTIPLY', math('SUBTRACT', 1.0, given["Transparent"]), math('SUBTRACT', 1.0, hole))
+    world = _alpha(b, 'Apply Mask', given["World"], seen)
     b.node('NodeGroupOutput', (_over(b, world, nearer.outputs[0]),))
 
 

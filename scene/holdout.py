@@ -17,6 +17,11 @@ def with_meshes(scene) -> bool:
     return scene.fastgs.render_meshes != 'OFF' and scene.render.use_compositing
 
 
+def with_catchers(scene) -> bool:
+    """Whether the shadows that Cycles' shadow catchers catch are laid over the splats of a scene, evaluated or not."""
+    return with_meshes(scene) and scene.fastgs.render_meshes == 'CYCLES' and any(obj.is_shadow_catcher for obj in scene.objects)
+
+
 def helpers(scene) -> set[str]:
     """Names of the objects whose surfaces are no part of the picture beside the splats: shapes that crop these, and native copies."""
     shapes = {item.object.name for obj in scene.objects if objects.is_splat(obj) for item in obj.fastgs.crops if item.object is not None}
@@ -32,12 +37,17 @@ def hidden_by(depsgraph, visible=lambda obj: True) -> np.ndarray | None:
     """The triangles [F, 3, 3] float32 that hide splats in a render; None where no object does.
 
     They are those of objects with Blender's Holdout, and of all others that the camera sees if the scene says so.
-    visible(obj) may leave out more.
+    visible(obj) may leave out more, and is asked about the object that makes an instance.
     """
     layer, everything = depsgraph.view_layer, depsgraph.scene.fastgs.use_meshes or with_meshes(depsgraph.scene)
-    clear = functools.cache(lets_light_through)
-    return triangles(depsgraph, lambda obj: (
-        is_held_out(obj, layer) or (everything and obj.fastgs.hides_splats and not clear(obj.original))) and visible(obj))
+    catchers = with_catchers(depsgraph.scene)
+
+    @functools.cache
+    def hides(obj):
+        return obj.fastgs.hides_splats and not lets_light_through(obj) and not (catchers and obj.is_shadow_catcher)
+
+    return triangles(depsgraph, lambda obj, maker: visible(maker) and (
+        is_held_out(obj, layer) or is_held_out(maker, layer) or (everything and hides(obj.original) and hides(maker.original))))
 
 
 def lets_light_through(obj) -> bool:
@@ -50,10 +60,10 @@ def lets_light_through(obj) -> bool:
                for name, opaque in (("Alpha", 1.0), ("Transmission Weight", 0.0)) for socket in [node.inputs[name]])
 
 
-def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
+def triangles(depsgraph, wanted=lambda obj, maker: True) -> np.ndarray | None:
     """The triangles [F, 3, 3] float32 of the scene's surfaces as the depsgraph has evaluated them, instances included; None without any.
 
-    wanted(obj) is asked about each object that has a surface, and about the object that makes an instance.
+    wanted(obj, maker) is asked about each object that has a surface; maker makes the instance, or is the object itself.
     """
     aside, local, found = helpers(depsgraph.scene), {}, []
     for instance in depsgraph.object_instances:
@@ -65,7 +75,7 @@ def triangles(depsgraph, wanted=lambda obj: True) -> np.ndarray | None:
             continue
         if maker.original.indirect_only_get(view_layer=depsgraph.view_layer):
             continue
-        if not (obj.visible_camera and maker.visible_camera and (wanted(maker) or (maker is not obj and wanted(obj)))):
+        if not (obj.visible_camera and maker.visible_camera and wanted(obj, maker)):
             continue
         matrix = np.array(instance.matrix_world, np.float64)
         key = obj.data.as_pointer()

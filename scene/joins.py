@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import bpy
 
-from . import composite_nodes, mesh_scene, shadows
+from . import composite_nodes, holdout, mesh_scene, shadows
 
 MESHES, JOIN, SHADE = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade"
 MADE = "fastgs_made"
@@ -82,9 +82,11 @@ def _new_tree(scene):
         output = output or tree.nodes.new('CompositorNodeComposite')
     tree[MADE] = True
     output.location = 1200, 0
+    shown = next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeRLayers'), None)
+    shown = shown or tree.nodes.new('CompositorNodeRLayers')
+    shown.scene = scene  # a new node shows the scene of the window
     if not output.inputs[0].is_linked:
-        shown = next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeRLayers'), None)
-        tree.links.new((shown or tree.nodes.new('CompositorNodeRLayers')).outputs["Image"], output.inputs[0])
+        tree.links.new(shown.outputs["Image"], output.inputs[0])
     return tree
 
 
@@ -112,6 +114,11 @@ def _shades(join) -> list:
     return found
 
 
+def join_of(splats):
+    """The join behind a Render Layers node, None where there is none."""
+    return next((join for join in _joins(splats.id_data) if _source(join, "Splats") == splats), None)
+
+
 def meshes_of(join):
     """The Render Layers node of a join's meshes."""
     found = _shades(join)
@@ -120,7 +127,7 @@ def meshes_of(join):
 
 def _join(tree, splats, scene, other, layer: str):
     """Let all that uses the image of a Render Layers node use what it and the meshes make together."""
-    join = next((join for join in _joins(tree) if _source(join, "Splats") == splats), None)
+    join = join_of(splats)
     if join is None:
         used = [link.to_socket for link in splats.outputs["Image"].links]
         join = _new_group(tree, JOIN, composite_nodes.join, splats.location.x + 400, splats.location.y)
@@ -131,11 +138,13 @@ def _join(tree, splats, scene, other, layer: str):
         meshes.scene, meshes.layer = other, layer
         meshes.name = meshes.label = MESHES
         meshes.location = splats.location.x, splats.location.y - 420
+    catcher = meshes.outputs.get("Shadow Catcher") if holdout.with_catchers(scene) else None
     environment = next((s for s in meshes.outputs if s.enabled and "Env" in (s.identifier[:3], s.name[:3])), None)
     _feed(tree, join, {
         "Splats": splats.outputs["Image"], "Splat Alpha": splats.outputs["Alpha"], "Splat Depth": splats.outputs["Depth"],
         "Splat Holdout": splats.outputs.get("Splat Holdout"), "Meshes": _shaded(tree, join, splats, meshes, shadows.lamps(scene)),
-        "Mesh Alpha": meshes.outputs["Alpha"], "Mesh Depth": meshes.outputs["Depth"], "World": environment})
+        "Mesh Alpha": meshes.outputs["Alpha"], "Mesh Depth": meshes.outputs["Depth"], "Shadow Catcher": catcher,
+        "World": environment})
     transparent = float(scene.render.film_transparent)
     if join.inputs["Transparent"].default_value != transparent:
         join.inputs["Transparent"].default_value = transparent

@@ -203,6 +203,8 @@ def _follow_layers(scene, other) -> bool:
         for name in ("use_pass_combined", "use_pass_z", "use_pass_environment"):
             _set(target, name, True)
         _set(target, "pass_alpha_threshold", 0.0)  # the depth of glass, too
+        if holdout.with_catchers(scene):
+            _set(target.cycles, "use_pass_shadow_catcher", True)
         moved |= _follow_collection(layer.layer_collection, target.layer_collection)
         for i in range(len(shadows.lamps(scene))):
             if light_group(i) not in target.lightgroups:

@@ -215,6 +215,9 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
             ('CYCLES', "Cycles", "Path tracing: light, shadows and reflections of the meshes", 1),
             ('EEVEE', "EEVEE", "Fast, needs a GPU", 2),
         ), default='OFF', update=updates.meshes)
+    write_passes: BoolProperty(
+        name="Write Passes", description="Write the picture and all passes of splats and of meshes into one multi-layer EXR for each "
+        "frame, beside the scene's own pictures", default=False, update=updates.meshes)
     splats_scene: PointerProperty(
         name="Splats", description="The scene whose meshes this one renders", type=bpy.types.Scene, options={'HIDDEN'})
     use_meshes: BoolProperty(

@@ -11,6 +11,15 @@ from ..scene import devices, holdout, mesh_scene, objects, settings, shadows, un
 from . import facts
 from .object_panels import draw_column, draw_other_engine, draw_rows, draw_trouble, split
 
+MESH_PASSES = {
+    'CYCLES': ("mist", "position", "normal", "vector", "uv", "object_index", "material_index", "diffuse_direct", "diffuse_indirect",
+               "diffuse_color", "glossy_direct", "glossy_indirect", "glossy_color", "transmission_direct", "transmission_indirect",
+               "transmission_color", "emit", "ambient_occlusion", "cryptomatte_object", "cryptomatte_material", "cryptomatte_asset"),
+    'EEVEE': ("mist", "position", "normal", "vector", "diffuse_direct", "diffuse_color", "glossy_direct", "glossy_color", "emit", "shadow",
+              "ambient_occlusion", "cryptomatte_object", "cryptomatte_material", "cryptomatte_asset"),
+}
+"""Blender's passes that the engines of meshes deliver, besides those that every picture with meshes has."""
+
 
 class _Engine:
     bl_space_type, bl_region_type, bl_context = 'PROPERTIES', 'WINDOW', "render"
@@ -61,6 +70,8 @@ def draw_meshes(layout, scene):
         col.prop(other.cycles, "use_denoising", text="Denoise Meshes")
     elif other is not None:
         layout.prop(other.eevee, "taa_render_samples", text="Mesh Samples")
+    if other is not None:
+        layout.prop(scene.fastgs, "write_passes")
 
 
 def draw_threads(layout, render):
@@ -167,6 +178,30 @@ class FASTGS_PT_passes(_Engine, bpy.types.Panel):
             layout.prop(layer, "pass_cryptomatte_depth", text="Cryptomatte Levels")
 
 
+def _mesh_layer(context):
+    """The view layer of the meshes beside the open one, None where there is none."""
+    other = mesh_scene.of(context.scene)
+    return other and other.view_layers.get(context.view_layer.name)
+
+
+class FASTGS_PT_mesh_passes(_Engine, bpy.types.Panel):
+    bl_label = "Passes of Meshes"
+    bl_parent_id = "FASTGS_PT_passes"
+    bl_context = "view_layer"
+    bl_options = {'DEFAULT_CLOSED'}
+
+    @classmethod
+    def poll(cls, context):
+        return super().poll(context) and _mesh_layer(context) is not None
+
+    def draw(self, context):
+        layout, layer = split(self.layout, decorate=False), _mesh_layer(context)
+        col = layout.column(heading="Include")
+        for name in MESH_PASSES[context.scene.fastgs.render_meshes] if layer else ():
+            col.prop(layer, f"use_pass_{name}")
+        layout.prop(context.scene.fastgs, "write_passes")
+
+
 class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
     bl_label = "Ray Visibility"
     bl_parent_id = "OBJECT_PT_visibility"
@@ -178,6 +213,7 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
         if context.object.type in objects.MESHABLE and not objects.is_splat(context.object):
             draw_column(layout, context.object.fastgs, "hides_splats",
                         active=context.scene.fastgs.use_meshes or holdout.with_meshes(context.scene))
+            draw_column(layout, context.object, "is_shadow_catcher", active=context.scene.fastgs.render_meshes == 'CYCLES')
 
 
 class FASTGS_PT_other_engine(bpy.types.Panel):

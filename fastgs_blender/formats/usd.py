@@ -5,8 +5,8 @@ A prim has positions, orientations (w x y z), scales (standard deviations), opac
 coefficient by coefficient, radiance:sphericalHarmonicsDegree and radiance:sphericalHarmonicsCoefficients, each perhaps under its name for
 half precision, which ends in "h".  All such prims of the stage are read, where their parents put them.  The stage's up axis says the axes.
 
-Files are read and written by Pixar's own library, which Blender brings along (pxr); without it they are refused.  Only the file itself is
-opened: what it refers to in other files is left out.
+Files are read and written by Pixar's own library (pxr), which Blender from blender.org brings along; without it they are refused.  Only the
+file itself is opened: what it refers to in other files is left out.
 """
 from collections.abc import Iterable
 from dataclasses import replace
@@ -131,8 +131,8 @@ def _library():
         import pxr
         from pxr import Gf, Sdf, Usd, UsdGeom, Vt  # noqa: F401 (they become members of pxr)
     except ImportError as error:
-        raise FastGSError("Pixar's USD library (pxr), which this format needs, is not installed; Blender brings it along, and elsewhere "
-                          "it comes with usd-core.") from error
+        raise FastGSError("Pixar's USD library (pxr), which this format needs, is not installed; Blender from blender.org brings it along, "
+                          "and elsewhere it comes with usd-core.") from error
     return pxr
 
 

@@ -296,6 +296,61 @@ def screen(fg, model_file, splat_object):
 
 
 @pytest.fixture
+def shine(scene):
+    """shine(obj, colour, alpha=1): the object's surface sends out light of this colour, whatever the lamps, and lets the rest through."""
+    import bpy
+
+    def make(obj, colour, alpha=1.0):
+        material = bpy.data.materials.new("Shine")
+        if bpy.app.version < (5, 0, 0):
+            material.use_nodes = True
+        tree = material.node_tree
+        emission, mix = tree.nodes.new('ShaderNodeEmission'), tree.nodes.new('ShaderNodeMixShader')
+        emission.inputs["Color"].default_value, mix.inputs["Fac"].default_value = (*colour, 1), alpha
+        surface = emission.outputs[0]
+        if alpha < 1:
+            tree.links.new(tree.nodes.new('ShaderNodeBsdfTransparent').outputs[0], mix.inputs[1])
+            tree.links.new(surface, mix.inputs[2])
+            surface = mix.outputs[0]
+        tree.links.new(surface, tree.get_output_node('ALL').inputs["Surface"])
+        obj.data.materials.append(material)
+        return obj
+
+    return make
+
+
+@pytest.fixture
+def wall(add, shine):
+    """wall(x, y, colour, size=1.6, **options): a shining square across the view, before the screen of splats where y is negative."""
+    return lambda x, y, colour, size=1.6, **options: shine(
+        add("plane", size=size, location=(x, y, 0), rotation=(np.pi / 2, 0, 0)), colour, **options)
+
+
+@pytest.fixture
+def sky(scene):
+    """A world of one colour."""
+    import bpy
+
+    world = scene.world = bpy.data.worlds.new("World")
+    if bpy.app.version < (5, 0, 0):
+        world.use_nodes = True
+    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.2, 0.3, 0.4, 1)
+
+
+@pytest.fixture
+def choose(scene, module):
+    """choose(engine='CYCLES', of=scene): what the panel's menu does; returns the scene of the meshes, with few samples."""
+    def run(engine='CYCLES', of=scene):
+        of.fastgs.render_meshes = engine
+        other = module("scene.mesh_scene").of(of)
+        other.cycles.samples, other.cycles.use_denoising = 4, False
+        return other
+
+    scene.view_settings.view_transform = 'Raw'
+    return run
+
+
+@pytest.fixture
 def warned(caplog):
     """warned(): the sentences that the last render has told."""
     def texts():

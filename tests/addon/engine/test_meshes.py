@@ -110,6 +110,25 @@ def test_what_is_evaluated_hides(scene, splats, add, alpha):
     assert not found[away < 0.45].any() and np.array_equal(found[away > 0.56], free[away > 0.56])
 
 
+def test_instances_hide_as_what_they_show_does(scene, splats, add, alpha, paint):
+    """A collection that is instanced has an opaque square, glass, and one that is not to hide anything."""
+    free = alpha()
+    scene.fastgs.use_meshes = True
+    inside = bpy.data.collections.new("Inside")
+    for x in (-0.9, 0.0, 0.9):
+        obj = square(add, location=(x, -1, 0), size=0.5)
+        inside.objects.link(obj)
+        scene.collection.objects.unlink(obj)
+    paint(inside.objects[1])[1].inputs["Transmission Weight"].default_value = 1.0
+    inside.objects[2].fastgs.hides_splats = False
+    maker = bpy.data.objects.new("Maker", None)
+    maker.instance_type, maker.instance_collection = 'COLLECTION', inside
+    scene.collection.objects.link(maker)
+    assert_hidden(alpha(), free, -0.9, size=0.5)
+    maker.fastgs.hides_splats = False
+    assert np.array_equal(alpha(), free)
+
+
 def test_passes_say_what_is_hidden(scene, splats, add, render):
     """Alpha and Depth of the splats that are left, the light that the mesh stops, and a hole in the world."""
     square(add)

@@ -6,71 +6,10 @@ import bpy
 import image_files
 import numpy as np
 import pytest
+from joined import column, tree_of
 
 MIDDLE = slice(21, 27)
 """The middle rows of a picture."""
-
-
-@pytest.fixture
-def shine(scene):
-    """shine(obj, colour, alpha=1): the object's surface sends out light of this colour, whatever the lamps, and lets the rest through."""
-    def make(obj, colour, alpha=1.0):
-        material = bpy.data.materials.new("Shine")
-        if bpy.app.version < (5, 0, 0):
-            material.use_nodes = True
-        tree = material.node_tree
-        emission, mix = tree.nodes.new('ShaderNodeEmission'), tree.nodes.new('ShaderNodeMixShader')
-        emission.inputs["Color"].default_value, mix.inputs["Fac"].default_value = (*colour, 1), alpha
-        surface = emission.outputs[0]
-        if alpha < 1:
-            tree.links.new(tree.nodes.new('ShaderNodeBsdfTransparent').outputs[0], mix.inputs[1])
-            tree.links.new(surface, mix.inputs[2])
-            surface = mix.outputs[0]
-        tree.links.new(surface, tree.get_output_node('ALL').inputs["Surface"])
-        obj.data.materials.append(material)
-        return obj
-
-    return make
-
-
-@pytest.fixture
-def wall(add, shine):
-    """wall(x, y, colour, size=1.6, **options): a shining square across the view, before the screen of splats where y is negative."""
-    return lambda x, y, colour, size=1.6, **options: shine(
-        add("plane", size=size, location=(x, y, 0), rotation=(np.pi / 2, 0, 0)), colour, **options)
-
-
-@pytest.fixture
-def sky(scene):
-    """A world of one colour."""
-    world = scene.world = bpy.data.worlds.new("World")
-    if bpy.app.version < (5, 0, 0):
-        world.use_nodes = True
-    world.node_tree.nodes["Background"].inputs["Color"].default_value = (0.2, 0.3, 0.4, 1)
-
-
-@pytest.fixture
-def choose(scene, module):
-    """choose(engine='CYCLES', of=scene): what the panel's menu does; returns the scene of the meshes, with few samples."""
-    def run(engine='CYCLES', of=scene):
-        of.fastgs.render_meshes = engine
-        other = module("scene.mesh_scene").of(of)
-        other.cycles.samples, other.cycles.use_denoising = 4, False
-        return other
-
-    scene.view_settings.view_transform = 'Raw'
-    return run
-
-
-def tree_of(scene):
-    if bpy.app.version >= (5, 0, 0):
-        return scene.compositing_node_group
-    return scene.node_tree if scene.use_nodes else None
-
-
-def column(x, y=0.0, lens=30.0):
-    """The column of a 64 pixels wide picture in which a place is seen from a camera at y = -5."""
-    return int(32 + x / (5 + y) * lens / 36 * 64)
 
 
 def test_meshes_are_joined_by_depth(scene, screen, wall, sky, add_camera, choose, render, warned):
@@ -301,6 +240,26 @@ def test_a_shadow_takes_the_light_of_its_lamp_alone(scene, fg, model_file, splat
     assert [node.label for node in tree_of(scene).nodes if node.name.startswith("FAST-GS Shade")] == ["Right"]
 
 
+def test_a_shadow_catcher_lays_the_shadows_of_meshes_over_splats(scene, screen, add, sky, add_camera, choose, render):
+    """A box between a sun and the screen, which stands just before a catcher, or well before it."""
+    add_camera(lens=30.0)
+    alone = render("PNG16")
+    catcher = add("plane", size=20, location=(0, 0.1, 0), rotation=(np.pi / 2, 0, 0))
+    catcher.is_shadow_catcher = True
+    add("cube", size=0.8, location=(1.2, -1.5, 0))
+    lamp = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    lamp.rotation_euler, lamp.data.energy, lamp.data.angle = (np.pi / 2, 0, np.pi / 4), 20.0, 0.0
+    scene.collection.objects.link(lamp)
+    choose().cycles.samples = 16
+    shadow, free = (slice(22, 26), column(-0.3) - 1), (slice(22, 26), 3)
+    picture = render("PNG16")
+    assert picture[shadow][:, 0].max() < 0.4 * alone[shadow][:, 0].min()
+    np.testing.assert_allclose(picture[free][:, 0], alone[free][:, 0], rtol=0.05)
+    assert (picture[..., 3] == 1).all()
+    catcher.location.y = 0.6
+    np.testing.assert_allclose(render("PNG16")[shadow], alone[shadow], atol=0.02)
+
+
 def test_a_mesh_behind_splats_does_not_leak_at_the_edge_of_one_before_them(scene, screen, wall, add_camera, choose, render):
     """A turned green square before red splats before a blue wall, of which nothing is seen."""
     add_camera(lens=30.0)
@@ -361,3 +320,36 @@ def test_the_users_nodes_stay(scene, screen, add, add_camera, compositor, choose
     assert blur.inputs["Image"].links[0].from_node.name.startswith("FAST-GS ")
     scene.fastgs.render_meshes = 'OFF'
     assert {node.name for node in tree.nodes} == before and blur.inputs["Image"].links[0].from_node == compositor.layers
+
+
+def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp_path):
+    """The picture, the splats' passes and those of the meshes, with their names for Cryptomatte, beside the scene's own picture."""
+    import OpenEXR
+
+    add_camera(lens=30.0)
+    wall(-1.5, -1.0, (0, 1, 0)).name = "Wall"
+    layer, meshes = scene.view_layers[0], choose().view_layers[0]
+    layer.use_pass_mist = layer.use_pass_cryptomatte_object = True
+    meshes.use_pass_normal = meshes.use_pass_emit = meshes.use_pass_cryptomatte_object = True
+    before = len(tree_of(scene).nodes)
+    scene.fastgs.write_passes = True
+    image_files.set_output(scene, "PNG16")
+    scene.render.filepath = str(tmp_path / "shot.png")
+    bpy.ops.render.render(write_still=True)
+    assert (tmp_path / "shot.png").is_file()
+    path = tmp_path / "shot_passes_0001.exr"
+    planes, (y, x) = image_files.read_exr(path), (24, column(-1.5, -1))
+    for name, value in (("Composite.Combined", (0, 1, 0, 1)), ("ViewLayer.Combined", (0, 0, 0, 0)), ("ViewLayer.Splat Holdout", 1),
+                        ("ViewLayer Meshes.Depth", 4), ("ViewLayer Meshes.Normal", (0, -1, 0))):
+        np.testing.assert_allclose(planes[name][y, x], value, atol=1e-3, err_msg=name)
+    np.testing.assert_allclose(planes["ViewLayer Meshes.Emission"][y, x, :3], (0, 1, 0), atol=1e-3)
+    assert planes["ViewLayer.Depth"][y, 60, 0] == pytest.approx(5, abs=0.1) and 0 < planes["ViewLayer.Mist"][y, 60, 0] < 1
+    assert planes["ViewLayer Meshes.CryptoObject00"][y, x, 1] == 1
+    with OpenEXR.File(str(path), separate_channels=True) as file:
+        manifests = {name: value for part in file.parts for name, value in part.header.items() if name.endswith("/manifest")}
+    assert any("Wall" in text for text in manifests.values()) and any(screen.name in text for text in manifests.values())
+    scene.fastgs.write_passes = False
+    assert len(tree_of(scene).nodes) == before
+    scene.fastgs.write_passes = True
+    scene.fastgs.render_meshes = 'OFF'
+    assert tree_of(scene) is None

@@ -386,3 +386,12 @@ def test_the_sidebar_shows_the_objects_panel(panels, obj):
     assert screen.areas[number].spaces.active.context == 'OBJECT'
     record = drawn(panels["FASTGS_PT_splats"], screen=SimpleNamespace(areas=[]))
     assert any("Object Properties" in text for text in texts(record))
+
+
+def test_passes_of_meshes_are_switched_on_where_the_splats_are(panels, obj, scene, module):
+    panel = panels["FASTGS_PT_mesh_passes"]
+    assert not panel.poll(bpy.context)
+    for engine in ('EEVEE', 'CYCLES'):
+        scene.fastgs.render_meshes = engine
+        assert panel.poll(bpy.context) and "write_passes" in texts(drawn(panel), "prop")
+        assert ("use_pass_diffuse_indirect" in texts(drawn(panel), "prop")) == (engine == 'CYCLES')
