@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import objects
+from ..scene import carrying, objects
 from ..scene.splats.splat_object import refresh
 from .action import SPLATS, Action, Need
 
@@ -15,17 +15,23 @@ def _targets(context) -> list[bpy.types.Object]:
 
 
 class FASTGS_OT_reload(Action, bpy.types.Operator):
-    """Read the files of the active and the selected objects again"""
+    """Read the files of the active and the selected objects again; parts and erasing are carried over to a retrained one"""
 
     bl_idname = "fastgs.reload"
     bl_label = "Reload"
     needs = (Need(lambda context: bool(_targets(context)), SPLATS.reason),)
 
     def execute(self, context):
-        targets = _targets(context)
-        for path in {objects.abspath(obj) for obj in targets}:
+        targets, errors = _targets(context), []
+        for path in sorted({objects.abspath(obj) for obj in targets}):
+            earlier = objects.earlier(path)
             objects.reload(path)
-        errors = []
+            try:
+                for text in carrying.carry(path, earlier):
+                    self.warn(text)
+            except FastGSError as error:
+                errors.append(str(error))
+        targets += [obj for obj in bpy.data.objects if carrying.follows(obj, targets)]
         for obj in targets:
             try:
                 refresh(obj)
@@ -33,4 +39,4 @@ class FASTGS_OT_reload(Action, bpy.types.Operator):
                 errors.append(str(error))
         for error in dict.fromkeys(errors):
             self.fail(error)
-        return {'FINISHED'} if len(errors) < len(targets) else {'CANCELLED'}
+        return {'FINISHED'} if any(objects.error_of(obj) is None for obj in targets) else {'CANCELLED'}

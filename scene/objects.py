@@ -39,7 +39,10 @@ class _Entry:
 
 
 _entries: dict[str, _Entry] = {}
+_earlier: dict[str, Source] = {}
+"""What a file held before it was read again, for parts that are carried over (carrying.py)."""
 _loading: dict[str, threading.Lock] = {}
+_watched: set[str] = set()
 _lock = threading.Lock()
 _reloads = 0
 
@@ -111,11 +114,27 @@ def load_model(path: str) -> Source:
         if entry is None or not entry.identity.same():
             entry = _read(path)
             with _lock:
+                if before is not None and before.model is not None and entry.model is not None and path in _watched:
+                    _earlier.setdefault(path, before.model)
                 _entries[path] = entry
                 _reloads += before is not None
     if entry.model is None:
         raise fg.FastGSError(entry.error)
     return entry.model
+
+
+def watch(path: str) -> None:
+    """Keep the earlier model of a file that is read again by itself, because something marks its Gaussians."""
+    _watched.add(_key(path))
+
+
+def earlier(path: str) -> Source | None:
+    """What a file held when something of it was marked: the model that load_model() found last, or the one before that was replaced since
+    reload() was called; None where neither is in memory.  Forgets it."""
+    path = _key(path)
+    with _lock:
+        known = _entries.get(path)
+        return _earlier.pop(path, None) or (known.model if known else None)
 
 
 def source_of(obj: bpy.types.Object) -> Source:
@@ -181,14 +200,17 @@ def drop_unused():
     used = {abspath(obj) for obj in shown}
     parts.forget_all_but({obj.fastgs.part for obj in shown})
     with _lock:
-        for path in _entries.keys() - used:
-            del _entries[path]
+        for known in (_entries, _earlier):
+            for path in known.keys() - used:
+                del known[path]
 
 
 def clear():
     """Free all models."""
     with _lock:
         _entries.clear()
+        _earlier.clear()
+        _watched.clear()
         _loading.clear()
 
 

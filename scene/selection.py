@@ -30,6 +30,7 @@ def bits(obj, name: str) -> np.ndarray:
 
 def put(obj, **masks: np.ndarray) -> None:
     """Give an object masks [N] bool, by their names."""
+    objects.watch(objects.abspath(obj))
     for name, mask in masks.items():
         text = pack_mask(mask)
         if text != getattr(obj.fastgs, name):

@@ -13,9 +13,9 @@ from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectS
 from . import crops, devices, model_space, objects, parts, point_edits, speeds
 from .time import Retime, shown_frames
 
-SELECTED = ObjectSettings(saturation=0.3, exposure=0.4, tint=(1.9, 0.75, 0.16))
-REFUSED = ObjectSettings(saturation=0.3, exposure=0.2, tint=(0.3, 0.75, 2.2))
-ERASED = ObjectSettings(saturation=0.2, tint=(1.8, 0.25, 0.25), opacity=0.5)
+SELECTED = ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.52, 0.04))
+REFUSED = ObjectSettings(saturation=0.05, exposure=0.5, gamma=1.2, tint=(0.1, 0.5, 2.0))
+ERASED = ObjectSettings(saturation=0.05, exposure=0.8, gamma=1.2, tint=(1.8, 0.05, 0.12))
 """The looks, on top of an object's own, in which viewports show what is selected, refused or erased."""
 
 

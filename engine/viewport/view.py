@@ -265,10 +265,16 @@ def _as_sorted(pairs, missing: set[str], answer: sorting.Sorted):
     for number, (key, old) in enumerate(zip(answer.shown, answer.instances)):
         waiting = now.get(key)
         instance = waiting.pop(0) if waiting else None
-        if instance is None and key[0] not in missing:
+        if instance is None and key[0] not in missing and not _stands(old, pairs):
             gone.add(number)
         instances.append(instance if instance is not None and instance.model is old.model else old)
     return instances, frozenset(gone)
+
+
+def _stands(old, pairs) -> bool:
+    """Whether the object of an instance is still where it was: a colour less of it, as when nothing is selected any more, takes nothing
+    away."""
+    return any(instance.name == old.name and np.array_equal(instance.placement, old.placement) for _, instance in pairs)
 
 
 def _known(models):

@@ -70,6 +70,7 @@ def join(context, target, others: list) -> int:
 
 def _show(obj, bits: np.ndarray) -> None:
     """Let an object show these Gaussians [N] of its file."""
+    objects.watch(objects.abspath(obj))
     obj.fastgs.part = "" if bits.all() else pack_mask(bits)
     splat_object.refresh(obj)
 

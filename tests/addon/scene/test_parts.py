@@ -2,6 +2,8 @@
 """Parts of splat objects: what they show together and alone, how they are made and joined, and what an object has that a part has too."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -87,6 +89,53 @@ def test_what_cannot_be_a_part_is_said(whole, choose, make_model, model_file):
         obj.select_set(obj in (whole, twin))
     with pytest.raises(RuntimeError, match="same Gaussians"):
         bpy.ops.fastgs.join_parts()
+
+
+def retrained(fg, model, seed=0):
+    """A model of the same scene with other Gaussians: some gone, some split, in another order, a little elsewhere."""
+    rng = np.random.default_rng(seed)
+    index = rng.permutation(np.concatenate([np.flatnonzero(rng.random(len(model)) > 0.2), np.flatnonzero(rng.random(len(model)) > 0.7)]))
+    out = model.take(index)
+    return replace(out, position=out.position + rng.normal(0, 0.004, out.position.shape)), index
+
+
+@pytest.mark.parametrize("by_itself", [False, True], ids=["reload", "read again by itself before"])
+def test_parts_survive_a_retrained_file(fg, make_model, model_file, module, choose, by_itself, capfd):
+    """By place and colour: two clouds that touch, one red and one green; what was erased stays erased."""
+    rng = np.random.default_rng(2)
+    red = np.arange(600) % 2 == 0
+    model = make_model(600, position=rng.uniform(-1, 1, (600, 3)) * (1, 0.3, 0.3) + np.where(red[:, None], (-0.8, 0, 0), (0.8, 0, 0)),
+                       features=np.where(red[:, None], (0.8, 0.1, 0.1), (0.1, 0.8, 0.1)), axes="RFU")
+    path = model_file(model)
+    bpy.ops.import_scene.fastgs(filepath=path)
+    whole, selection = bpy.context.object, module("scene.selection")
+    choose(whole, red)
+    bpy.ops.fastgs.separate(name="Red")
+    part, erased = bpy.context.object, model.position[:, 0] < -1
+    selection.erase(part, erased & red)
+    new, index = retrained(fg, model)
+    fg.save(new, path)
+    if by_itself:
+        module("scene.objects").load_model(path)
+    assert bpy.ops.fastgs.reload() == {'FINISHED'}
+    bits, gone = selection.bits(part, "part"), selection.bits(part, "mask")
+    assert len(bits) == len(index) != 600
+    assert (bits == red[index]).mean() > 0.99 and (gone == (erased & red)[index]).mean() > 0.98
+    assert np.array_equal(selection.bits(whole, "part"), ~bits) and whole.fastgs.gaussian_count == (~bits).sum()
+    assert part.fastgs.gaussian_count == bits.sum() and "lie where" not in capfd.readouterr().out
+
+
+def test_another_scene_in_the_file_loses_nothing(whole, choose, fg, make_model, module):
+    choose(whole, np.arange(200) < 50)
+    bpy.ops.fastgs.separate()
+    part, path = bpy.context.object, module("scene.objects").abspath(whole)
+    before, first = part.fastgs.part, fg.load(path)
+    fg.save(make_model(120, position=np.random.default_rng(1).uniform(20, 21, (120, 3)), axes="RFU"), path)
+    with pytest.raises(RuntimeError, match="the file now holds 120"):
+        bpy.ops.fastgs.reload()
+    assert part.fastgs.part == before
+    fg.save(first, path)
+    assert bpy.ops.fastgs.reload() == {'FINISHED'} and part.fastgs.gaussian_count == 50
 
 
 def test_a_part_of_another_version_of_the_file_says_so(whole, choose, fg, make_model, render, module):
