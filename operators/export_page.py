@@ -57,8 +57,8 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
             ('SMALL', "Small", "Pictures lose at most 0.3 dB; takes minutes", 1),
         ), default='FINE')
     limit: FloatProperty(
-        name="Size Limit", description="In MB. A larger page is not written; 0 is no limit. Phones may refuse more than 32 MB", default=0,
-        min=0, soft_max=100, precision=0)
+        name="Limit (MB)", description="A larger page is not written; 0 is no limit. Phones may refuse more than 32 MB", default=0, min=0,
+        soft_max=100, precision=0)
 
     def invoke(self, context, event):
         self._fill_frames(context.scene)

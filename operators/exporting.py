@@ -12,6 +12,7 @@ from bpy_extras.io_utils import ExportHelper
 from .. import fastgs_blender as fg
 from ..fastgs_blender.util.errors import printable
 from ..scene import objects
+from ..scene.notices import draw_trouble
 from ..scene.splats.splat_object import sentence
 from .action import Need
 from .stepwise import Stepwise
@@ -41,22 +42,22 @@ class Exporting(Stepwise):
         try:
             lost = self.losses(context)
         except fg.FastGSError as error:
-            self.layout.label(text=sentence(error), icon='ERROR')
+            draw_trouble(self.layout, context, sentence(error))
             return
         header, body = self.layout.panel("FASTGS_export_losses")
         header.label(text="Not Kept" if lost else "Everything Is Kept")
         if body is not None:
             for clause in lost:
-                body.label(text=clause[:1].upper() + clause[1:], translate=False)
+                draw_trouble(body, context, clause, 'NONE')
 
     def steps(self, context):
         self._remarks = []
         return self.write(context, Path(bpy.path.abspath(self.filepath)))
 
     def finish(self, context, written):
-        for text in dict.fromkeys(self._remarks):
+        self.report({'INFO'}, printable(f"Exported {written}"))
+        for text in dict.fromkeys(self._remarks):  # last, because the status bar shows the last report
             self.warn(text)
-        return f"Exported {written}"
 
     @contextmanager
     def listening(self):

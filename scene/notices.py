@@ -37,6 +37,14 @@ def _pop_up(text):
             manager.popup_menu(draw, title="FAST-GS", icon='INFO')
 
 
+def draw_trouble(layout, context, text: str, icon: str = 'ERROR'):
+    """Draw a sentence with an icon, on several lines where the region is narrow: Blender's labels do not wrap."""
+    width = context.region.width / (context.preferences.system.ui_scale or 1.0)
+    column = layout.column(align=True)
+    for k, line in enumerate(textwrap.wrap(text[:1].upper() + text[1:], max(int((width - 60) / 6.5), 20))):
+        column.label(text=line, icon='BLANK1' if k and icon != 'NONE' else icon, translate=False)
+
+
 def warn(engine, text: str):
     """Report a warning, once in a render job however many frames it has, and log it.  The render continues."""
     _report_once(engine, 'WARNING', text)

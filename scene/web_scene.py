@@ -15,14 +15,18 @@ from ..fastgs_blender.formats.web import Sound, cannot_play, sound_of
 from ..fastgs_blender.formats.web.page import PageObject
 from ..fastgs_blender.rendering.instances import Instance
 from . import camera as cameras
-from . import holdout, objects, snapshot, unshown, world
-from .cameras import framing, subjects
+from . import holdout, joins, objects, snapshot, unshown, world
+from .cameras import framing, keys, subjects
 from .colour import rec709_to_working
 
 SOUNDS = (('MP3', 'MP3', ".mp3"), ('OGG', 'VORBIS', ".ogg"), ('WAV', 'PCM', ".wav"))
 """Containers and codecs of the sound, the one that every browser plays first; a Blender may lack some of them."""
 VIEW = 1280, 720
 """Pixels of an opening view that no camera gives."""
+STAYING = {"filters": "filters", "density": "density", "backdrop": "the backdrop", "antialias": "antialiasing"}
+"""Properties of an object that a page takes from its first frame alone, and their names in a sentence."""
+NEAR = 0.1
+"""Blender's usual *Clip Start* in metres: nothing that a page shows lies nearer."""
 
 
 class Tracks:
@@ -176,6 +180,7 @@ def not_kept(context) -> list[str]:
     transform = view.view_transform
     graded = view.look not in ("", "None") or view.exposure != 0 or view.gamma != 1 or view.use_curve_mapping
     held = [obj.name for obj in layer.objects if not objects.is_splat(obj) and holdout.is_held_out(obj, layer)]
+    fixed = [f"the animation of {name} of {obj.name}" for obj in _splats(context) for name in _animated(obj)]
     lens = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
     surfaces = [obj.name for obj in unshown.objects_left_out(scene, layer)]
     pointed = [obj.name for obj in _splats(context)
@@ -187,8 +192,17 @@ def not_kept(context) -> list[str]:
         (bool(surfaces), f"meshes: {_named(surfaces)}"),
         (bool(held), f"what hides splats: {_named(held)}"),
         (bool(pointed), f"what modifiers do to the points of {_named(pointed)}"),
+        (bool(fixed), f"{_named(fixed)}; the first frame stands for it"),
+        (render.use_compositing and joins.tree_of(scene) is not None, "what the compositor does"),
+        (bool(lens and round(lens.clip_start, 4) > NEAR), "the camera's Clip Start"),
         (bool(lens and lens.dof.use_dof), "depth of field"), (render.use_motion_blur, "motion blur"))
     return [text for true, text in told if true]
+
+
+def _animated(obj) -> list[str]:
+    """Of STAYING, what keyframes or drivers of an object change."""
+    found = [*keys.curves(obj), *(obj.animation_data.drivers if obj.animation_data else ())]
+    return [name for key, name in STAYING.items() if any(curve.data_path.startswith(f"fastgs.{key}") for curve in found)]
 
 
 def _named(names: list[str]) -> str:

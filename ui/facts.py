@@ -2,7 +2,6 @@
 """Facts about splat objects as text for panels; opens no file twice, so that redraws stay quick."""
 from __future__ import annotations
 
-import textwrap
 from contextlib import suppress
 from pathlib import Path
 
@@ -75,8 +74,3 @@ def size(count: int) -> str:
     """A number of bytes as text, as Blender's statistics write it."""
     step = min((count.bit_length() - 1) // 10, 3) if count else 0
     return f"{count / 1024**step:.{1 if step else 0}f} {('B', 'KiB', 'MiB', 'GiB')[step]}"
-
-
-def lines(text: str, width: float, scale: float) -> list[str]:
-    """Wraps a sentence into lines for a region of that width in pixels, at an interface scale; Blender's labels do not wrap."""
-    return textwrap.wrap(text[:1].upper() + text[1:], max(int((width / scale - 60) / 6.5), 20))

@@ -8,6 +8,7 @@ import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
 from ..scene import objects, speeds, startup
+from ..scene.notices import draw_trouble
 from . import facts
 
 
@@ -40,13 +41,6 @@ def draw_rows(layout, rows):
         sub.alignment = 'RIGHT'
         sub.label(text=what)
         split.label(text=value)
-
-
-def draw_trouble(layout, context, text, icon='ERROR'):
-    """Draw the error message, on several lines if it is long."""
-    col = layout.column(align=True)
-    for i, line in enumerate(facts.lines(text, context.region.width, context.preferences.system.ui_scale or 1.0)):
-        col.label(text=line, icon='BLANK1' if i else icon)
 
 
 def draw_error(layout, context):

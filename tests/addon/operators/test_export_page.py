@@ -157,10 +157,22 @@ def test_what_a_page_does_not_show_is_said_first(scene, module, pictures, moving
     scene.view_settings.view_transform, scene.view_settings.exposure = 'AgX', 1
     scene.render.use_motion_blur = True
     pictures.data.dof.use_dof = True
+    pictures.data.clip_start = 0.5
+    obj = bpy.context.object
+    obj.fastgs.points = 'ALL'
+    obj.modifiers.new("Effect", 'NODES')
+    for path in ("fastgs.density", "fastgs.exposure"):
+        obj.keyframe_insert(path, frame=1)
+    if bpy.app.version < (5, 0, 0):
+        scene.use_nodes = True
+    else:
+        scene.compositing_node_group = bpy.data.node_groups.new("Compositing", 'CompositorNodeTree')
     add("cube").name = "Table"
     text = "; ".join(told(bpy.context))
-    for word in ("AgX", "exposure", "meshes: Table", "depth of field", "motion blur"):
-        assert word in text
+    for words in ("AgX", "exposure", "meshes: Table", "depth of field", "motion blur", "Clip Start", "compositor", "the points of moving",
+                  "the animation of density of moving; the first frame"):
+        assert words in text, words
+    assert "animation of exposure" not in text
 
 
 def test_errors_are_sentences_and_nothing_is_written(scene, pictures, moving, make_model, model_file, tmp_path):
