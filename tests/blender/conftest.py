@@ -80,6 +80,8 @@ def browser(request, tmp_path_factory):
     known = Path(ROOT, "usr", "bin", command).exists() if ROOT else command in os.environ.get("FASTGS_BROWSER", "").split()
     if not known:
         pytest.skip(f"{command} is in the root of Debian trixie; elsewhere FASTGS_BROWSER names it")
+    if ROOT:
+        request.getfixturevalue("newcomer")  # who begins with an empty folder
     folder = OUTPUT / "pages" if ROOT else tmp_path_factory.mktemp("pages")
     folder.mkdir(parents=True, exist_ok=True)
     with launched(command, folder, ROOT) as browser:
