@@ -13,7 +13,7 @@ from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
 from ..fastgs_blender.util.backends import describe_backend, failure_of, take_overflow
 from ..fastgs_blender.util.threads import set_threads
-from ..scene import camera, devices, exposure, holdout, notices, objects, settings, shadows, sky, snapshot, unshown, world
+from ..scene import camera, devices, exposure, holdout, lamps, notices, objects, settings, shadows, sky, snapshot, unshown, world
 from . import compiling, passes, worker
 
 
@@ -43,6 +43,7 @@ def _render_layer(engine, depsgraph):
     settings_now = passes.settings(scene)
     if _has(wanted, "shadow"):
         settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
+    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph))
     shutter = exposure.times(scene)
     middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
     vectors = [middle - 1, middle + 1] if _has(wanted, "vector") else []

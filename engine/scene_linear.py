@@ -10,6 +10,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Exposure
 from ..fastgs_blender.rendering.instances import Instance
 from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, PassSettings
+from ..fastgs_blender.util.backends import load_backend
 from ..scene import colour
 
 
@@ -31,6 +32,9 @@ def render(instances: list[Instance], camera: fg.Camera, working: np.ndarray, pa
     if len(spaces) < 2:
         images = fg.render(instances, camera, passes=passes, progress=progress, **options)
         return images | {name: colour.scene_linear(images[name], images["alpha"], spaces != {"linear"}, working) for name in colours}
+    if settings.light is not None:
+        instances = settings.light.lit(instances, camera, load_backend(backend))
+        options["settings"] = replace(options["settings"], light=None)
     # Splats add up: rgb = sum of weight x colour.  So each space's share of the picture, and of the weight, is rendered
     # with the other's splats in black, and is decoded by itself.
     encoded = fg.render(_painted(instances, "linear", 0), camera, passes=colours, progress=lambda f: progress(f / 3), **options)

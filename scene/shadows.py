@@ -41,23 +41,30 @@ def shadows_of(depsgraph) -> tuple[Shadow, ...]:
     if meshes is None:
         return ()
     size = scene.render.resolution_percentage / 100 * max(scene.render.resolution_x, scene.render.resolution_y)
-    return tuple(Shadow(light_of(lamp.evaluated_get(depsgraph), scene.fastgs.shadow_samples), meshes, scene.fastgs.shadow_bias,
+    return tuple(Shadow(_placed(lamp.evaluated_get(depsgraph), scene.fastgs.shadow_samples), meshes, scene.fastgs.shadow_bias,
                         int(np.clip(size, 256, 2048))) for lamp in found)
 
 
-def light_of(obj, samples: int) -> Light:
-    """The library's light for an evaluated lamp: its place, direction and size, as Cycles reads them."""
-    matrix, data = np.array(obj.matrix_world, np.float64), obj.data
+def _placed(obj, samples: int) -> Light:
+    """The library's light for an evaluated lamp where it stands."""
+    matrix = np.array(obj.matrix_world, np.float64)
     if not np.isfinite(matrix).all():
         raise FastGSError(f'the light "{obj.name}" has a transform that holds no finite numbers; clear its location and rotation, or those '
                           "of its parents.")
+    return light_of(obj.data, matrix, samples)
+
+
+def light_of(data, matrix: np.ndarray, samples: int) -> Light:
+    """The library's light for a lamp's data at a place [4, 4]: its place, direction and size, as Cycles reads them."""
     x, y, z = (matrix[:3, i] for i in range(3))
     if data.type == 'SUN':
         return Light.sun(z / max(np.linalg.norm(z), 1e-30), data.angle, samples)
-    if data.type == 'SPOT':
-        radius = data.shadow_soft_size
-        x, y = (radius * axis / max(np.linalg.norm(axis), 1e-30) for axis in (x, y))
-        return Light.disc(matrix[:3, 3], x, y, samples if radius > 0 else 1)
-    height = data.size_y if data.shape in ('RECTANGLE', 'ELLIPSE') else data.size
-    shape = Light.disc if data.shape in ('DISK', 'ELLIPSE') else Light.rectangle
-    return shape(matrix[:3, 3], x * data.size / 2, y * height / 2, samples)
+    if data.type == 'AREA':
+        height = data.size_y if data.shape in ('RECTANGLE', 'ELLIPSE') else data.size
+        shape = Light.disc if data.shape in ('DISK', 'ELLIPSE') else Light.rectangle
+        return shape(matrix[:3, 3], x * data.size / 2, y * height / 2, samples)
+    radius = data.shadow_soft_size
+    if data.type == 'POINT':
+        return Light.ball(matrix[:3, 3], radius, samples if radius > 0 else 1)
+    x, y = (radius * axis / max(np.linalg.norm(axis), 1e-30) for axis in (x, y))
+    return Light.disc(matrix[:3, 3], x, y, samples if radius > 0 else 1)

@@ -9,8 +9,11 @@ BLACK = (0.0, 0.0, 0.0)
 
 def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, bpy.types.World | None]:
     """(scene-linear colour, or None for transparent film; the world where it is more than that colour, or None)."""
-    if scene.render.film_transparent:
-        return None, None
+    return (None, None) if scene.render.film_transparent else surface(scene, view_layer)
+
+
+def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.World | None]:
+    """(scene-linear colour of a view layer's world; the world where it is more than that colour, or None)."""
     world = getattr(view_layer, "world_override", None) or scene.world
     if world is None or not view_layer.use_sky:
         return BLACK, None

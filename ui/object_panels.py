@@ -7,7 +7,7 @@ from itertools import groupby
 import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
-from ..scene import objects, speeds, startup
+from ..scene import lamps, objects, speeds, startup
 from ..scene.notices import draw_trouble
 from . import facts
 
@@ -64,7 +64,7 @@ def draw_other_engine(layout, context):
 def draw_look(layout, context):
     """Draw how the model's colours, opacity and sizes are changed."""
     split(layout)
-    groups = [list(names) for _, names in groupby(LOOKS, lambda name: LOOKS[name].group)]
+    groups = [list(names) for group, names in groupby(LOOKS, lambda name: LOOKS[name].group) if group != "LIGHT"]
     for names in (*groups[:-1], ["antialias", *groups[-1]], ["viewport_density", "density"]):
         draw_column(layout, context.object.fastgs, *names, align=True)
     if is_ours(context.object):
@@ -209,6 +209,18 @@ class FASTGS_PT_object_look(_Part, bpy.types.Panel):
 
     def draw(self, context):
         draw_look(self.layout, context)
+
+
+class FASTGS_PT_object_light(_Part, bpy.types.Panel):
+    bl_label = "Scene Light"
+
+    def draw(self, context):
+        layout, scene = split(self.layout), context.scene.fastgs
+        draw_column(layout, context.object.fastgs, *(name for name in LOOKS if LOOKS[name].group == "LIGHT"))
+        col = layout.column(align=True)
+        col.active = lamps.takes_light(context.object)
+        col.prop(scene, "shadow_samples")
+        col.prop(scene, "shadow_bias")
 
 
 class FASTGS_PT_object_points(_Part, bpy.types.Panel):

@@ -22,11 +22,15 @@ COARSE = 3
 """Pixels, in x and in y, that one of a pass covers while the view moves."""
 
 
+PICTURE = "rgb"
+"""The pass that is the picture itself, in its own colours."""
+
+
 @dataclass(frozen=True, eq=False)
 class DataPass:
-    """A pass that a viewport shows in place of the picture.
+    """A pass that a viewport shows in place of the picture that Blender's shaders draw.
 
-    name      in the library's table
+    name      in the library's table; PICTURE is shown over the background
     settings  PassSettings
     holdout   triangles [F, 3, 3] that hide splats, or None
     state     equal as long as none of it has changed
@@ -43,18 +47,19 @@ def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, backgroun
 
     working     [3, 3] from linear Rec.709 to the target's primaries
     background  colour [3] or Panorama under the splats, or None
-    data        a pass to show in its false colours, opaque; None: the picture
+    data        a pass to show in its false colours, opaque, or the picture in its light; None: the picture
     """
     instances, _ = snapshot.load()
     backend = devices.backend(snapshot.device)[0]
-    if data is not None:
+    if data is not None and data.name != PICTURE:
         image = fg.render(instances, camera, passes=(data.name,), backend=backend, settings=data.settings, holdout=data.holdout)[data.name]
         colour = srgb_to_linear(PASSES[data.name].look(image)) @ working.T
         return np.concatenate([colour, np.ones_like(colour[..., :1])], -1).astype(np.float32)[::-1]
     if isinstance(background, Panorama):
         background = background.behind(camera)
-    images = scene_linear.render(instances, camera, working, backend=backend)
-    return film(images["rgb"], images["alpha"], background)[::-1]
+    options = {} if data is None else {"settings": data.settings, "holdout": data.holdout}
+    images = scene_linear.render(instances, camera, working, backend=backend, **options)
+    return film(images["rgb"], images["alpha"], background, images.get("holdout"))[::-1]
 
 
 def coarse(camera: fg.Camera) -> fg.Camera:

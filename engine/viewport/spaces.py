@@ -13,9 +13,9 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
-from ...scene import colour, holdout, objects, proxies, shadows, sky, snapshot, world
+from ...scene import colour, holdout, lamps, objects, proxies, shadows, sky, snapshot, world
 from .. import compiling, passes
-from . import frusta, meshes, overlays, shaders
+from . import fallback, frusta, meshes, overlays, shaders
 from .atlas import Atlas
 from .camera_frame import border, passepartout, picture
 from .eye import eye
@@ -28,6 +28,8 @@ from .worker import Worker
 log = logging.getLogger(__name__)
 
 TICK = 1 / 60
+LIGHT_SIZE = 512
+"""Pixels of the pictures from lamps, in which viewports look up shadows."""
 
 
 class Viewports:
@@ -90,11 +92,14 @@ class Viewports:
         return self._once("holdout", lambda: holdout.hidden_by(depsgraph, lambda obj: _visible(obj, space)), space, depsgraph)
 
     def _data_pass(self, space, depsgraph) -> DataPass | None:
-        """The pass that a viewport shows in Rendered shading; None for the picture itself."""
+        """The pass that a viewport shows in Rendered shading, or the picture where lamps light splats; None: shaders draw."""
         chosen = passes.in_viewport(space.shading, depsgraph.scene)
+        light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE), space, depsgraph)
+        if chosen is None and light is not None:
+            chosen = fallback.PICTURE
 
         def make():
-            settings = passes.settings(depsgraph.scene)
+            settings = replace(passes.settings(depsgraph.scene), light=light)
             if chosen == "shadow":
                 try:
                     settings = replace(settings, shadows=shadows.shadows_of(depsgraph)[:1])

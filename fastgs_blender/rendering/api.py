@@ -87,6 +87,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     needs = {part for entry in sharp for part in entry.needs} | {"alpha"}
     kernels = load_backend(backend)
     instances = _instances(model, camera, t)
+    if settings.light is not None:
+        instances = [each.viewed(camera) for each in settings.light.lit(instances, camera, kernels, progress)]
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
     if drawn and sharp:

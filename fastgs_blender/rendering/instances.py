@@ -84,6 +84,12 @@ class ObjectSettings:
                             1e9, "SIZE", np.maximum, soft_max=1.0, unit="LENGTH", precision=4)
     max_size: float = _look(0.0, "Maximum Size", "Gaussians are made at most this large, by their longest axis; 0 is no limit", 0, 1e9,
                             "SIZE", lambda a, b: min(a or b, b or a), soft_max=1.0, unit="LENGTH", precision=4)
+    captured_light: float = _look(1.0, "Captured Light", "How much of the light that the capture was filmed in stays", 0, 1e4, "LIGHT", mul,
+                                  soft_max=1.0)
+    lamp_light: float = _look(0.0, "Lamps", "How much the scene's lamps and world light the splats", 0, 1e4, "LIGHT", np.maximum,
+                              soft_max=1.0)
+    shadows: float = _look(0.0, "Shadows", "How dark the lamps' shadows are on the splats: those of meshes, and of splats in the light of "
+                           "lamps", 0, 1, "LIGHT", np.maximum, subtype="FACTOR")
     pixel_size: float = _look(0.0, "Trained Pixel Size", "Size of a pixel of the training pictures on the surface. Views with finer pixels "
                               "are smoothed to it. For files that do not know their cameras; 0 turns it off", 0, 1e9, "SAMPLING",
                               np.maximum, soft_max=0.1, unit="LENGTH", precision=5)
@@ -109,6 +115,11 @@ class ObjectSettings:
             raise FastGSError(f"the density of an object must lie between 0 and 1, not {self.density!r}.")
         if self.backdrop not in BACKDROPS:
             raise FastGSError(f"how a backdrop is shown must be one of {', '.join(BACKDROPS)}, not {self.backdrop!r}.")
+
+    @property
+    def takes_light(self) -> bool:
+        """Whether the scene's lamps change how the object looks (relight.py)."""
+        return (self.captured_light, self.lamp_light, self.shadows) != (1, 0, 0)
 
     def under(self, above: ObjectSettings) -> ObjectSettings:
         """These settings with the looks of an object that instances this one on top; what is no look stays."""

@@ -14,6 +14,7 @@ from ..util.errors import FastGSError
 from . import cryptomatte, false_colour
 from .instances import Moment, ViewedInstance
 from .quantities import NORMAL, Mist, Quantity, vector
+from .relight import SceneLight
 from .shadow import Shadow
 
 FAR = np.float32(1e10)
@@ -33,6 +34,7 @@ class PassSettings:
     mist           the distances of the Mist pass
     before, after  the scene one frame earlier and later, for the Vector pass; see quantities.vector
     shadows        the lights and the meshes of the passes of shadows, one for each, at most LAMPS; see shadow.py
+    light          what lights the splats, see relight.py; None: their colours are as captured
     sorting        "centre": all splats by the depth of their centres; "pixel": in each pixel by the depth of the greatest density on its
                    ray, so that none comes suddenly before another while the camera turns (StopThePop, Radl et al. 2024)
     film           "opaque": nothing is put behind the picture, so a model of Spacetime Gaussians shows what its decoder makes of no
@@ -48,6 +50,7 @@ class PassSettings:
     before: Moment | None = None
     after: Moment | None = None
     shadows: tuple[Shadow, ...] = ()
+    light: SceneLight | None = None
     sorting: str = "centre"
     film: str = "opaque"
 

@@ -40,19 +40,43 @@ class Shown:
         return _transformed(self.instance.model_to_camera, self.position)
 
     @cached_property
+    def axes(self) -> np.ndarray:
+        """Each Gaussian's axes in the model's space, as columns [M, 3, 3] of unit length."""
+        return self._axes_at(self.instance.t, self.instance.model)
+
+    @cached_property
+    def spread(self) -> np.ndarray:
+        """Each Gaussian's axes in the world, as columns [M, 3, 3], each as long as its standard deviation."""
+        scale = np.exp(self.instance.model.scale[self.index].astype(np.float64))[:, None]
+        return self.instance.placement[:3, :3] @ (self.axes * scale)
+
+    @cached_property
     def normal(self) -> np.ndarray:
         """[M, 3] unit vectors in the world: the shortest axis, turned to the camera.
 
         As a normal it is transformed by the inverse of the placement's transpose.
         """
-        model, placement = self.instance.model, self.instance.placement[:3, :3]
-        axes = self._axes_at(self.instance.t, model)
-        shortest = np.take_along_axis(axes, model.scale[self.index].argmin(1)[:, None, None], 2)[..., 0]
-        normal = shortest @ np.linalg.pinv(placement)
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        normal, towards = self._shortest_axis, self._towards_camera
+        return np.where((normal * towards).sum(1, keepdims=True) < 0, -normal, normal)
+
+    @property
+    def facing(self) -> np.ndarray:
+        """[M] cosines of the angles between the normals and the ways to the camera."""
+        return np.abs((self._shortest_axis * self._towards_camera).sum(1))
+
+    @cached_property
+    def _shortest_axis(self) -> np.ndarray:
+        shortest = np.take_along_axis(self.axes, self.instance.model.scale[self.index].argmin(1)[:, None, None], 2)[..., 0]
+        normal = shortest @ np.linalg.pinv(self.instance.placement[:3, :3])
+        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+
+    @cached_property
+    def _towards_camera(self) -> np.ndarray:
         camera_to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
-        forward = camera_to_world[:3, 2] if self.instance.camera.orthographic else self.world - camera_to_world[:3, 3]
-        return np.where((normal * forward).sum(1, keepdims=True) > 0, -normal, normal)
+        if self.instance.camera.orthographic:
+            return np.broadcast_to(-camera_to_world[:3, 2], self.world.shape)
+        towards = camera_to_world[:3, 3] - self.world
+        return towards / np.maximum(np.linalg.norm(towards, axis=1, keepdims=True), 1e-30)
 
     def pixels(self, instance: ViewedInstance) -> tuple[np.ndarray, np.ndarray]:
         """The same Gaussians of another instance of the model in its camera's picture: their centres [M, 2], and their standard deviations

@@ -6,7 +6,7 @@ shadow is a picture of that, looked up where the camera's pixels see the surface
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,7 +16,7 @@ from ..cameras.camera import Camera
 from ..util.errors import FastGSError
 from .exposure import PLASTIC
 from .holdout import as_triangles
-from .instances import ViewedInstance
+from .instances import Instance, ViewedInstance
 from .layout import Layout
 from .lookup import between_pixels
 
@@ -57,6 +57,15 @@ class Light:
         u, v, side = _spread(samples)
         radius, turn = side * np.sqrt(u), 2 * np.pi * v
         return cls(centre + radius * (np.cos(turn) * np.asarray(x, float) + np.sin(turn) * np.asarray(y, float)))
+
+    @classmethod
+    def ball(cls, centre, radius: float, samples: int = 32) -> Light:
+        """A ball around a centre: points of its surface."""
+        k = np.arange(samples) + 0.5
+        z, turn = 1 - 2 * k / samples, np.pi * (1 + 5**0.5) * k
+        flat = np.sqrt(1 - z * z)
+        ball = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
+        return cls(centre + radius * ball)
 
     @classmethod
     def rectangle(cls, centre, x, y, samples: int = 32) -> Light:
@@ -102,7 +111,7 @@ class Shadow:
 
     def _through(self, backend, instances, points, place) -> np.ndarray:
         """Which share [P] of the light from one of its points arrives at points [P, 3]."""
-        eye, before = self._eye(instances, points, place)
+        eye, before = view_from(self.light, place, points, corners(instances), self.size)
         if eye is None:
             return np.ones(len(points))
         towards = place if self.light.parallel else place - self.meshes
@@ -117,28 +126,34 @@ class Shadow:
         held, covered = (between_pixels(backend.numpy(image), x, y) for image in (buffers.held, buffers.covered))
         return np.where(there & (covered > 0), held / np.maximum(covered, 1e-6), 1)
 
-    def _eye(self, instances, points, place) -> tuple[Camera | None, np.ndarray]:
-        """The camera at a point of the light that sees all points [P, 3], None where they all lie behind it; the points in its axes."""
-        middle = (points.min(0) + points.max(0)) / 2
-        forward = -place if self.light.parallel else middle - place
-        forward = forward / max(np.linalg.norm(forward), 1e-30)
-        right, down = _across(forward)
-        axes = np.stack([right, down, forward])
-        if self.light.parallel:  # from before everything
-            around = np.concatenate([points, *(_corners(instance) for instance in instances)])
-            place = middle - 4 * np.linalg.norm(around - middle, axis=1).max() * forward
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = axes, -axes @ place
-        before = (points - place) @ axes.T
-        front = before[before[:, 2] > 1e-6]
-        if not len(front):
-            return None, before
-        flat = front[:, :2] if self.light.parallel else np.clip(front[:, :2] / front[:, 2:], -WIDEST, WIDEST)
-        low, high = flat.min(0), flat.max(0)
-        focal = self.size / max((high - low).max(), 1e-9 * max(np.abs(flat).max(), 1))
-        width, height = np.ceil((high - low) * focal).astype(int) + 3
-        cx, cy = 1.5 - low * focal
-        return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=self.light.parallel, near=0.0), before
+
+def view_from(light: Light, place: np.ndarray, points: np.ndarray, around: np.ndarray,
+              size: int) -> tuple[Camera | None, np.ndarray]:
+    """The camera at a point of a light that sees all points [P, 3], None where they all lie behind it; the points in its axes.
+
+    around  [Q, 3] points around what may throw shadows on them: the rays of a sun begin before these
+    size    pixels of the picture's longer side
+    """
+    middle = (points.min(0) + points.max(0)) / 2
+    forward = -place if light.parallel else middle - place
+    forward = forward / max(np.linalg.norm(forward), 1e-30)
+    right, down = _across(forward)
+    axes = np.stack([right, down, forward])
+    if light.parallel:  # from before everything
+        reach = np.concatenate([points, around])
+        place = middle - 4 * np.linalg.norm(reach - middle, axis=1).max() * forward
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, -axes @ place
+    before = (points - place) @ axes.T
+    front = before[before[:, 2] > 1e-6]
+    if not len(front):
+        return None, before
+    flat = front[:, :2] if light.parallel else np.clip(front[:, :2] / front[:, 2:], -WIDEST, WIDEST)
+    low, high = flat.min(0), flat.max(0)
+    focal = size / max((high - low).max(), 1e-9 * max(np.abs(flat).max(), 1))
+    width, height = np.ceil((high - low) * focal).astype(int) + 3
+    cx, cy = 1.5 - low * focal
+    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=light.parallel, near=0.0), before
 
 
 def _spread(count: int) -> np.ndarray:
@@ -156,10 +171,14 @@ def _across(direction: np.ndarray) -> np.ndarray:
     return np.stack([first, np.cross(direction, first)])
 
 
-def _corners(instance) -> np.ndarray:
-    """The corners [8, 3] of the box around an instance's Gaussians, twice as large for their motion, in the world."""
-    position = instance.model.position
-    low, high = position.min(0).astype(np.float64), position.max(0).astype(np.float64)
-    middle, half = (low + high) / 2, high - low
-    signs = np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 3)
-    return (middle + signs * half) @ instance.placement[:3, :3].T + instance.placement[:3, 3]
+def corners(instances: Sequence[Instance]) -> np.ndarray:
+    """The corners [8 K, 3] of the boxes around the Gaussians of K instances, twice as large for their motion, in the world."""
+    found = [np.zeros((0, 3))]
+    for instance in instances:
+        low, high = (bound.astype(np.float64) for bound in (instance.model.position.min(0), instance.model.position.max(0)))
+        middle, half = (low + high) / 2, high - low
+        found.append((middle + _SIGNS * half) @ instance.placement[:3, :3].T + instance.placement[:3, 3])
+    return np.concatenate(found)
+
+
+_SIGNS = np.stack(np.meshgrid(*[(-1, 1)] * 3), -1).reshape(-1, 3)

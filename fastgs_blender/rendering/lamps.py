@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lamps: what arrives from them at a place, before anything stands in the way.
+
+Radiometry is Cycles': a white diffuse surface that receives the irradiance E has the radiance E / pi.  A lamp of P watts has the radiant
+intensity P / (4 pi) to all sides (point, spot), or P / pi along its axis (area); a sun's strength is the irradiance of what faces it.
+"""
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import numpy as np
+
+from ..util.errors import FastGSError
+from .shadow import Light
+
+Beam = Callable[[np.ndarray], np.ndarray]
+"""Which share of its intensity a lamp sends at an angle to its axis, of the cosines [N] of the angles: [N]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Lamp:
+    """A lamp.
+
+    light   its points
+    colour  [3] or [L, 3] scene linear: of a sun the irradiance of a surface that faces it, of other lamps the radiant intensity along the
+            axis; each point has this colour, or its own, and the lamp is their mean
+    axis    unit vector [3] in the world along which it shines; None: it shines alike to all sides
+    beam    how it fades away from the axis
+
+    Raises FastGSError for colours that are not finite, or not one for all points or one each.
+    """
+
+    light: Light
+    colour: np.ndarray
+    axis: np.ndarray | None = None
+    beam: Beam | None = None
+
+    def __post_init__(self) -> None:
+        colour = np.asarray(self.colour, np.float64)
+        if colour.shape not in ((3,), (len(self.light.points), 3)) or not np.isfinite(colour).all():
+            raise FastGSError("a lamp needs a colour of three finite numbers, for all of its points or for each.")
+        object.__setattr__(self, "colour", np.broadcast_to(colour, (len(self.light.points), 3)))
+
+    def share(self, number: int, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
+        """How much of its colour its point of that number sends to positions [M, 3] with unit normals [M, 3], in the world: [M]."""
+        place = self.light.points[number]
+        if self.light.parallel:
+            return np.maximum(normal @ place, 0)
+        towards = place - position
+        square = np.maximum(np.einsum("mk,mk->m", towards, towards), 1e-12)
+        share = np.maximum(np.einsum("mk,mk->m", normal, towards), 0) / (square * np.sqrt(square))
+        if self.beam is not None and self.axis is not None:
+            share *= self.beam(-(towards @ self.axis) / np.sqrt(square))
+        return share
+
+
+def cone(angle: float, blend: float) -> Beam:
+    """A spot's beam, which ends at the half of an angle in radians and fades over a share of it (Cycles' spot_light_attenuation)."""
+    edge = np.cos(angle / 2)
+    width = max((1 - edge) * blend, 1e-9)
+
+    def beam(cosine: np.ndarray) -> np.ndarray:
+        x = np.clip((cosine - edge) / width, 0, 1)
+        return x * x * (3 - 2 * x)
+
+    return beam
+
+
+def flat(spread: float = np.pi) -> Beam:
+    """The beam of a flat lamp (Lambert), kept within a spread in radians (Cycles' area_light_spread_attenuation)."""
+    half = min(spread, np.pi) / 2
+    if half > np.pi / 2 - 1e-3:
+        return lambda cosine: np.maximum(cosine, 0)
+    edge = max(np.tan(half), 1e-6)
+    strength = 1 / max(edge - half, 1e-9)
+
+    def beam(cosine: np.ndarray) -> np.ndarray:
+        ahead = np.maximum(cosine, 1e-9)
+        tangent = np.sqrt(np.maximum(1 - ahead * ahead, 0)) / ahead
+        return np.where(cosine > 0, ahead * np.maximum(edge - tangent, 0) * strength, 0)
+
+    return beam
+
+
+def dome(radiance, directions: int = 32) -> Lamp:
+    """The world around, of one radiance [3] or of the radiance that a function gives along unit vectors [L, 3]: suns all around."""
+    points = Light.ball(np.zeros(3), 1.0, directions).points
+    return Lamp(Light(points, True), 4 * np.pi * np.asarray(radiance(points) if callable(radiance) else radiance, np.float64))

@@ -1,0 +1,77 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Reads the lamps, the world and the meshes that light splats and throw shadows on them, as the library's SceneLight."""
+from __future__ import annotations
+
+import numpy as np
+
+from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
+from ..fastgs_blender.rendering.relight import SceneLight
+from . import colour, holdout, objects, shadows, world
+
+
+def scene_light(depsgraph, size: int = 1024) -> SceneLight | None:
+    """What lights the splats of a scene as the depsgraph has evaluated it; None where no object takes light.
+
+    size  pixels of the longer side of the shadows' pictures
+    """
+    splats = [obj for obj in depsgraph.objects if objects.is_splat(obj)]
+    if not any(takes_light(obj) for obj in splats):
+        return None
+    scene, names = depsgraph.scene, [obj.name for obj in splats]
+    from_working = np.linalg.inv(colour.rec709_to_working())
+    found = []
+    for instance in depsgraph.object_instances:
+        obj = instance.object
+        if obj.type == 'LIGHT' and instance.show_self and not obj.hide_render:
+            lamp = lamp_of(obj, np.array(instance.matrix_world, np.float64), scene.fastgs.shadow_samples, from_working)
+            if lamp is not None:
+                found.append((lamp, _lit_by(obj.original, names)))
+    radiance, _ = world.surface(scene, depsgraph.view_layer)
+    if any(radiance):
+        found.append((dome(from_working @ radiance, max(scene.fastgs.shadow_samples, 16)), None))
+    meshes = holdout.triangles(depsgraph, lambda obj: obj.visible_shadow and not obj.is_shadow_catcher)
+    return SceneLight(tuple(found), meshes, scene.fastgs.shadow_bias, size)
+
+
+def takes_light(obj) -> bool:
+    """Whether the scene's lamps change how an object shows its splats."""
+    settings = obj.fastgs
+    return (settings.captured_light, settings.lamp_light, settings.shadows) != (1, 0, 0)
+
+
+def lamp_of(obj, matrix: np.ndarray, samples: int, from_working: np.ndarray) -> Lamp | None:
+    """The library's lamp for an evaluated light object at a place [4, 4], None where it sends nothing.
+
+    from_working  [3, 3] from the scene's primaries to Rec.709
+    """
+    data = obj.data
+    power = data.energy * 2.0 ** getattr(data, "exposure", 0.0) * (from_working @ _tint(data))
+    if not (np.isfinite(matrix).all() and np.isfinite(power).all() and power.any()):
+        return None
+    axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
+    light = shadows.light_of(data, matrix, samples)
+    if data.type == 'SUN':
+        return Lamp(light, power)
+    if data.type == 'AREA':
+        return Lamp(light, power / np.pi, -axes[:, 2], flat(data.spread))
+    return Lamp(light, power / (4 * np.pi), -axes[:, 2], cone(data.spot_size, data.spot_blend) if data.type == 'SPOT' else None)
+
+
+def _tint(data) -> np.ndarray:
+    """The colour [3] of a light, its temperature included."""
+    tint = np.array(data.color[:3], np.float64)
+    return tint * np.array(data.temperature_color[:3]) if getattr(data, "use_temperature", False) else tint
+
+
+def _lit_by(lamp, names: list[str]) -> frozenset[str] | None:
+    """Which of the named splat objects a lamp lights, by its light linking; None: all."""
+    linking = getattr(lamp, "light_linking", None)
+    receivers = linking.receiver_collection if linking else None
+    if receivers is None:
+        return None
+    states = {}
+    for child, how in zip(receivers.children, receivers.collection_children):
+        states |= {obj.name: how.light_linking.link_state for obj in child.all_objects}
+    states |= {obj.name: how.light_linking.link_state for obj, how in zip(receivers.objects, receivers.collection_objects)}
+    some = 'INCLUDE' in states.values()
+    return frozenset(name for name in names if states.get(name, 'EXCLUDE' if some else 'INCLUDE') == 'INCLUDE')

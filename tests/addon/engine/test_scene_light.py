@@ -1,0 +1,105 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scene Light: lamps and shadows on splats, beside Cycles' own picture of the mesh that was baked."""
+import bpy
+import numpy as np
+import pytest
+from by_hand import srgb
+from mathutils import Vector
+
+
+def picture(images):
+    """The picture [h, w, 4] among the passes of an EXR."""
+    return next(image for name, image in images.items() if name.endswith("Combined"))
+
+
+def key(owner, path, values):
+    """Keyframes of a property on the first frames."""
+    for frame, value in enumerate(values, 1):
+        setattr(owner, path, value)
+        owner.keyframe_insert(path, frame=frame)
+
+
+def diffuse(obj, colour):
+    """Give an object a white or coloured diffuse surface; Cycles' own, without gloss."""
+    material = bpy.data.materials.new("Diffuse")
+    if bpy.app.version < (5, 0, 0):
+        material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.clear()
+    shader, out = nodes.new('ShaderNodeBsdfDiffuse'), nodes.new('ShaderNodeOutputMaterial')
+    shader.inputs["Color"].default_value = (*colour, 1)
+    links.new(shader.outputs["BSDF"], out.inputs["Surface"])
+    obj.data.materials.append(material)
+
+
+@pytest.fixture
+def lamp(scene):
+    """lamp("SUN", location, target, **data): a lamp that points at a target."""
+    def make(kind, location=(0, 0, 3), target=(0, 0, 0), **data):
+        obj = bpy.data.objects.new(kind.title(), bpy.data.lights.new(kind.title(), kind))
+        obj.location = location
+        obj.rotation_euler = (Vector(target) - Vector(location)).to_track_quat('-Z', 'Y').to_euler()
+        for name, value in data.items():
+            setattr(obj.data, name, value)
+        scene.collection.objects.link(obj)
+        return obj
+
+    return make
+
+
+@pytest.fixture
+def shot(scene, add, bake, add_camera, render):
+    """shot(): a baked torus on a floor under a box, lit: (its object, the picture of the splats, Cycles' of the meshes)."""
+    def take(count=24_000):
+        add_camera(location=(0, -4.5, 2.6), rotation=(64, 0, 0))
+        scene.render.resolution_x, scene.render.resolution_y = 200, 150
+        body = add("torus", major_segments=48, minor_segments=24, major_radius=0.7, minor_radius=0.28, location=(0, 0, 0.35))
+        bpy.ops.object.shade_smooth()
+        diffuse(body, (0.8, 0.45, 0.2))
+        floor = add("plane", size=3.2)
+        diffuse(floor, (0.5, 0.6, 0.7))
+        key(body, "rotation_euler", [(0.05 * f, 0.0, 0.2 * f) for f in range(12)])
+        bake(body, floor, count=count)
+        splats = bpy.context.object
+        box = add("cube", size=0.4, location=(0.5, -0.5, 1.3))
+        scene.frame_set(4)
+        scene.view_settings.view_transform = 'Raw'
+        scene.render.film_transparent = True
+        box.visible_camera = False
+        scene.render.engine = 'CYCLES'
+        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = 128, 0, False
+        splats.hide_render = True
+        cycles = picture(render())
+        body.hide_render = floor.hide_render = True
+        splats.hide_render = False
+        scene.render.engine = 'FASTGS'
+        look = splats.fastgs
+        look.captured_light, look.lamp_light, look.shadows = 0, 1, 1
+        return splats, picture(render()), cycles
+
+    return take
+
+
+def psnr(lit, cycles):
+    """PSNR in sRGB, where the meshes are."""
+    there = cycles[..., 3] > 0.99
+    return -10 * np.log10(np.mean((srgb(lit[..., :3]) - srgb(cycles[..., :3]))[there] ** 2))
+
+
+def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, render):
+    lamp('SUN', (2, -1, 3), energy=2.0, angle=0.05)
+    lamp('AREA', (-1.5, -1.5, 2.5), energy=60, size=0.6)
+    _, lit, cycles = shot()
+    assert psnr(lit, cycles) > 28, psnr(lit, cycles)
+    assert np.array_equal(lit, picture(render()))
+
+
+def test_points_spots_and_the_world(scene, shot, lamp):
+    lamp('POINT', (1.2, -1.2, 2), energy=60, shadow_soft_size=0.05, color=(1, 0.7, 0.4))
+    lamp('SPOT', (-1.5, -1, 2.5), energy=150, shadow_soft_size=0.05, spot_size=0.7, spot_blend=0.5)
+    scene.world = bpy.data.worlds.new("World")
+    if bpy.app.version < (5, 0, 0):
+        scene.world.use_nodes = True
+    scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = 0.1, 0.12, 0.2, 1
+    _, lit, cycles = shot()
+    assert psnr(lit, cycles) > 28, psnr(lit, cycles)

@@ -1,0 +1,157 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Scene light on analytic scenes: what a lamp sends to a wall, and what stands in its way."""
+import numpy as np
+import pytest
+
+import fastgs_blender as fg
+from fastgs_blender.model.appearance import SH_C0
+from fastgs_blender.rendering.colour import srgb_to_linear
+from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
+from fastgs_blender.rendering.passes import PassSettings
+from fastgs_blender.rendering.relight import SceneLight
+from fastgs_blender.rendering.shadow import Light
+
+LIT = ObjectSettings(captured_light=0.0, lamp_light=1.0, shadows=1.0)
+GREY = 0.6
+CAMERA = fg.Camera(64, 64, 64, 64, 32, 32, np.eye(4))
+
+
+def wall(depth=4.0, half=2.2, step=0.05, appearance=None, features=None):
+    """Grey discs in a square at a depth, facing the camera."""
+    x, y = (axis.ravel() for axis in np.meshgrid(*[np.arange(-half, half, step)] * 2))
+    n = len(x)
+    return fg.GaussianModel(
+        position=np.stack([x, y, np.full(n, depth)], 1), rotation=np.tile([1.0, 0, 0, 0], (n, 1)), opacity=np.full(n, 6.0),
+        scale=np.log(np.tile([0.7 * step, 0.7 * step, 1e-4], (n, 1))),
+        features=np.full((n, 3), GREY) if features is None else features(n), appearance=appearance or fg.RGB())
+
+
+def lit(model, lamps, look=LIT, camera=CAMERA, meshes=None, **options):
+    """The straight scene-linear picture [h, w, 3] of a model under lamps."""
+    light = SceneLight(tuple((lamp, None) for lamp in lamps), meshes)
+    instances = [each if isinstance(each, Instance) else Instance(each, np.eye(4), 0.0, look) for each in np.atleast_1d(model)]
+    images = fg.render(instances, camera, settings=PassSettings(light=light), **options)
+    return srgb_to_linear(images["rgb"] / np.maximum(images["alpha"], 1e-6)[..., None])
+
+
+def middle(picture):
+    return picture[28:36, 28:36].mean((0, 1))
+
+
+def board(x, y, z, half):
+    """Two triangles: a square around a place, facing the camera."""
+    a, b, c, d = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]]) * half + [x, y, z]
+    return np.array([[a, b, c], [a, c, d]], np.float32)
+
+
+ALBEDO = float(srgb_to_linear(np.array(GREY)))
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.6, 1.2])
+def test_a_sun_lights_by_the_cosine(angle):
+    sun = Lamp(Light.sun((np.sin(angle), 0, -np.cos(angle))), (2.0, 1.0, 0.5))
+    assert np.allclose(middle(lit(wall(), [sun])), ALBEDO / np.pi * np.cos(angle) * np.array([2, 1, 0.5]), rtol=0.01)
+
+
+def test_lamps_fall_off_with_the_square_of_the_distance():
+    for distance in (1.0, 2.0):
+        lamp = Lamp(Light([(0, 0, 4 - distance)]), (3.0, 3.0, 3.0))
+        assert np.allclose(lit(wall(), [lamp])[31:33, 31:33], ALBEDO / np.pi * 3 / distance**2, rtol=0.03)
+
+
+def test_a_lamp_behind_the_wall_does_not_light_it():
+    assert lit(wall(), [Lamp(Light([(0, 0, 5.0)]), (9.0, 9.0, 9.0))]).max() < 1e-3
+
+
+def test_the_world_lights_as_much_as_it_shines():
+    """Half of a uniform world of radiance 1 is before a wall: it has its own colour."""
+    assert np.allclose(middle(lit(wall(), [dome((1.0, 1.0, 1.0), 64)])), ALBEDO, rtol=0.03)
+
+
+def test_beams():
+    assert np.allclose(flat()(np.array([1.0, 0.5, -0.5])), [1, 0.5, 0])
+    narrow = flat(1.0)(np.cos([0.0, 0.25, 0.6]))
+    assert narrow[0] > narrow[1] > 0 == narrow[2]
+    spot = cone(1.0, 0.2)
+    assert spot(np.cos(np.array([0.0])))[0] == 1 and spot(np.cos(np.array([0.51])))[0] == 0
+
+
+def test_a_mesh_throws_its_shadow_where_geometry_says():
+    """A board halfway between a lamp and the wall has a shadow of twice its size; its edge is sharp within two pixels."""
+    picture = lit(wall(), [Lamp(Light([(0, 0, 2.0)]), (3.0, 3.0, 3.0))], meshes=board(0, 0, 3.0, 0.3))[32, :, 0]
+    edge = 64 * 0.6 / 4
+    dark = 16 + np.flatnonzero(picture[16:48] < 0.5 * picture[32 + 14])
+    assert abs(dark.min() - (32 - edge)) <= 2 and abs(dark.max() + 1 - (32 + edge)) <= 2
+    assert picture[32] < 1e-3
+
+
+def test_splats_throw_shadows_on_splats_and_not_on_themselves():
+    sun = Lamp(Light.sun((0, -1, -1)), (3.0, 3.0, 3.0))
+    free = lit(wall(), [sun])
+    assert np.allclose(free[4:60, 4:60], middle(free), rtol=0.02)  # no spots
+    leaf = wall(3.0, 0.4)
+    both = lit([Instance(wall(), np.eye(4), 0.0, LIT), Instance(leaf, np.eye(4), 0.0, LIT)], [sun])
+    assert both[32 + 16, 32, 0] < 0.02 * free[32 + 16, 32, 0]  # one unit lower on the wall
+    assert np.allclose(both[32, 32], free[32, 32], rtol=0.02)  # the leaf itself
+
+
+def test_captured_light_stays_and_shadows_take_from_it():
+    """Without lamps' light a mesh's shadow still darkens the captured colour, by as much as is asked for."""
+    lamp, look = Lamp(Light([(0, 0, 2.0)]), (3.0, 3.0, 3.0)), ObjectSettings(shadows=0.5)
+    picture = lit(wall(), [lamp], look, meshes=board(0, 0, 3.0, 0.3))
+    assert np.allclose(picture[32, 32], 0.5 * ALBEDO, rtol=0.01) and np.allclose(picture[32, 60], ALBEDO, rtol=0.01)
+    half = lit(wall(), [], ObjectSettings(captured_light=0.5))
+    assert np.allclose(middle(half), 0.5 * ALBEDO, rtol=0.01)
+
+
+def test_light_linking():
+    sun = Lamp(Light.sun((0, 0, -1)), (3.0, 3.0, 3.0))
+    light = SceneLight(((sun, frozenset({"lit"})),))
+    for name, bright in (("lit", True), ("other", False)):
+        image = fg.render([Instance(wall(), np.eye(4), 0.0, LIT, name)], CAMERA, settings=PassSettings(light=light))
+        assert (image["rgb"].max() > 0.1) == bright
+
+
+def test_every_appearance_is_lit_alike():
+    """Harmonics and decoders show the same colour as plain ones do, times the same light."""
+    sun = Lamp(Light.sun((0, 0, -1)), (2.0, 1.0, 0.5))
+    expected = middle(lit(wall(), [sun]))
+    harmonics = np.concatenate([np.full(3, (GREY - 0.5) / SH_C0), np.zeros(9)])
+    assert np.allclose(middle(lit(wall(appearance=fg.SH(1), features=lambda n: np.tile(harmonics, (n, 1))), [sun])), expected, rtol=0.01)
+    rng = np.random.default_rng(0)
+    for activation in ("clamp", "sigmoid"):
+        look = fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.1, (3, 6)), activation)
+        model = wall(appearance=look, features=lambda n: np.tile(rng.uniform(0.3, 0.6, 9), (n, 1)))
+        bare = lit(model, [], ObjectSettings(captured_light=0.999999))
+        assert np.allclose(middle(lit(model, [sun])), middle(bare) * np.array([2, 1, 0.5]) / np.pi, rtol=0.02)
+
+
+def test_what_takes_no_light_keeps_every_byte():
+    light = SceneLight(((Lamp(Light.sun((0, 0, -1)), (2.0, 2.0, 2.0)), None),))
+    plain = fg.render(wall(), CAMERA)["rgb"]
+    assert np.array_equal(plain, fg.render([Instance(wall(), np.eye(4), 0.0)], CAMERA, settings=PassSettings(light=light))["rgb"])
+
+
+def test_same_bytes_on_any_number_of_threads():
+    from fastgs_blender.util.threads import set_threads
+
+    lamp = Lamp(Light.rectangle((1, -1, 1), (0.3, 0, 0), (0, 0.3, 0), 4), (5.0, 5.0, 5.0), np.array([0, 0, 1.0]), flat())
+    pictures = []
+    for threads in (1, 2, 3):
+        set_threads(threads)
+        pictures.append(lit([Instance(wall(), np.eye(4), 0.0, LIT), Instance(wall(3.0, 0.4), np.eye(4), 0.0, LIT)], [lamp]))
+    set_threads(0)
+    assert np.array_equal(pictures[0], pictures[1]) and np.array_equal(pictures[0], pictures[2])
+
+
+def test_the_oracle_agrees():
+    sun = Lamp(Light.sun((0.2, -1, -1)), (3.0, 3.0, 3.0))
+    camera = fg.Camera(24, 24, 24, 24, 12, 12, np.eye(4))
+    models = [Instance(wall(4.0, 2.2, 0.2), np.eye(4), 0.0, LIT), Instance(wall(3.0, 0.4, 0.1), np.eye(4), 0.0, LIT)]
+    assert np.allclose(lit(models, [sun], camera=camera), lit(models, [sun], camera=camera, backend="reference"), atol=2e-3)
+
+
+def test_wrong_colours_are_told():
+    with pytest.raises(fg.FastGSError, match="colour"):
+        Lamp(Light([(0, 0, 1)]), (np.nan, 1, 1))
