@@ -15,6 +15,7 @@ from . import (
     capture_scene,
     capture_view,
     check_capture,
+    clean_up,
     clip,
     crop,
     effects,
@@ -49,8 +50,8 @@ else:
     MAKING = ()
 
 CLASSES = classes_of(
-    align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture, clip,
-    crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, import_model, look, maintenance,
+    align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture, clean_up,
+    clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, import_model, look, maintenance,
     native_copy, parts, reload, select_gaussians, select_kind, select_splats, sync_cameras, train, training_python, training_runs, upright,
     view_camera, *MAKING,
 )

@@ -18,8 +18,8 @@ PAGES = (
     ("bpy.ops.fastgs.export_native*", "formats"),
     ("bpy.ops.import_scene.fastgs*", "guide"),
     *((f"bpy.ops.fastgs.{name}*", "parts") for name in (
-        "select_", "separate", "join_parts", "show_whole", "erase", "show_hidden", "invert_hidden", "delete_for_good", "add_crop",
-        "remove_crop", "add_filter", "remove_filter")),
+        "select_", "separate", "join_parts", "show_whole", "erase", "show_hidden", "invert_hidden", "delete_for_good", "clean_up", "grow",
+        "add_crop", "remove_crop", "add_filter", "remove_filter")),
     ("bpy.ops.fastgs.*", "guide"),
     ("bpy.types.fastgs_*", "guide"),
 )

@@ -56,6 +56,7 @@ class FASTGS_PT_parts_erase(_Below, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fastgs.erase", icon='HIDE_ON')
         row.operator("fastgs.show_hidden", icon='HIDE_OFF')
+        layout.operator("fastgs.clean_up", icon='SHADERFX')
         if context.object.fastgs.mask:
             row = layout.row(align=True)
             row.prop(context.scene.fastgs, "show_erased", toggle=True)

@@ -2,6 +2,8 @@
 """Gaussians that are hidden by hand: what F12 shows, what undo and .blend files keep, the operators."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -117,3 +119,29 @@ def test_only_what_is_seen_is_selected_unless_through(fg, module, model_file, ad
     assert not inside[900] and np.array_equal(np.flatnonzero(inside), np.flatnonzero(np.hypot(*place[:, ::2].T) * (place[:, 1] == 0)
                                               + 9 * (place[:, 1] > 0) <= ball.radius)) and 0.45 < ball.radius < 0.55
     assert sight.ball((2, 2), 8) is None
+
+
+def test_clean_up_proposes_and_its_amount_changes_it(fg, make_model, model_file, module):
+    """A dense sheet is left; lone Gaussians, a needle and haze before a camera are hidden, each for its reason; nothing at the amount 0."""
+    rng, n = np.random.default_rng(4), 8000
+    sheet = rng.uniform(-1, 1, (n, 3)) * (1, 0, 1)
+    position = np.concatenate([sheet, rng.uniform(-1, 1, (6, 3)) * (1, 5, 5) + (9, 0, 0), [[0, 0, 0.1], [0.1, -5.5, 0]]])
+    scale = np.full((n + 8, 3), np.log(0.03))
+    scale[n + 6, 0] = np.log(3.0)
+    model = make_model(n + 8, position=position, scale=scale, opacity=np.where(np.arange(n + 8) == n + 7, -1.0, 3.0), axes="RFU")
+    camera = module("fastgs_blender.model.surroundings").Viewpoint(
+        width=100, height=100, fx=100, fy=100, cx=50, cy=50, position=(0, -6, 0), rotation=(0.7071068, -0.7071068, 0, 0))
+    model = replace(model, surroundings=replace(model.surroundings, cameras=(camera,)))
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    obj, selection = bpy.context.object, module("scene.selection")
+    found = module("scene.cleaning").proposed(model, 1.0, {"floaters", "needles"})
+    assert found["floaters"][n:n + 6].all() and found["floaters"][:n].mean() < 0.02
+    assert np.flatnonzero(found["needles"]).tolist() == [n + 6]
+    assert np.flatnonzero(module("scene.cleaning").proposed(model, 1.0, {"haze"})["haze"]).tolist() == [n + 7]
+    assert bpy.ops.fastgs.clean_up(amount=1.0, unseen=False) == {'FINISHED'}
+    assert selection.bits(obj, "mask")[n:].all() and selection.bits(obj, "mask")[:n].mean() < 0.02
+    bpy.ops.fastgs.show_hidden()
+    bpy.ops.fastgs.clean_up(amount=0.0)
+    assert not obj.fastgs.mask
+    bpy.ops.fastgs.clean_up(amount=1.0, select=True, floaters=False, unseen=False)
+    assert np.flatnonzero(selection.bits(obj, "selection")).tolist() == [n + 6, n + 7] and not obj.fastgs.mask
