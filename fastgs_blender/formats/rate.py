@@ -17,8 +17,8 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..model.temporal import Radial
+from ..util.curve import hilbert_order
 from ..util.errors import FastGSError
-from .curve import hilbert_order
 from .quantising import Prepared, Steps, canonical, prepared
 from .refit import OUTLIER, as_read, in_parts
 from .sensitivity import mean_square, pictures, sensitivity, shots

@@ -105,9 +105,9 @@ def adam(tensors, moved) -> None:
         shapes((value, same), (gradient, same), (mean, same), (square, same), (count, "n"), (None if shared else moved, "n"))
 
 
-def neighbour_distance(xyz, turns) -> None:
-    """TrainingBackend.neighbour_distance()."""
-    shapes((xyz, "p 3"), *((turn, "3 3") for turn in turns))
+def nearest(points, turns) -> None:
+    """TrainingBackend.nearest()."""
+    shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
 def project_points(xyz) -> None:

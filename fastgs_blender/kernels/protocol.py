@@ -258,9 +258,9 @@ class TrainingBackend(PictureBackend, Protocol):
 
     # before training; NumPy arrays in and out
 
-    def neighbour_distance(self, xyz: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> np.ndarray:
-        """Root mean squared distance [P] float64 of each point [P, 3] to its `count` nearest within the leaves, of at most `leaf`
-        points, of k-d trees of the points turned by each matrix [3, 3]; the least over the trees, inf without a neighbour."""
+    def nearest(self, points: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> tuple[np.ndarray, np.ndarray]:
+        """The numbers [P, count] int32 of the nearest of each point [P, D] within the leaves, of at most `leaf` points, of k-d trees of
+        the points turned by each matrix [D, D], and their squared distances float32, the nearest first; -1 and inf where there is none."""
 
     def project_points(self, xyz: np.ndarray, camera: Camera) -> tuple[np.ndarray, np.ndarray]:
         """Pixels [P, 2] and depths [P] float64 of world points [P, 3]."""

@@ -77,11 +77,14 @@ def _moments(model):
         yield t, opacities_at(model, t)
 
 
-def _colour(model, colour):
+def base_colours(model: GaussianModel) -> np.ndarray:
+    """The colours [N, 3] of Gaussians; of harmonics and decoders their constant part."""
     base = model.features[:, :3].astype(np.float64)
-    if isinstance(momentary(model.appearance), SH):
-        base = 0.5 + SH_C0 * base
-    return np.abs(base - colour).max(1)
+    return 0.5 + SH_C0 * base if isinstance(momentary(model.appearance), SH) else base
+
+
+def _colour(model, colour):
+    return np.abs(base_colours(model) - colour).max(1)
 
 
 def _neighbours(model, _):

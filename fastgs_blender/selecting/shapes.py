@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Gaussians in a shape that is drawn in the picture, or in a ball: all of them, or those that are seen."""
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -10,11 +10,15 @@ from ..rendering.api import render
 from ..rendering.instances import Instance, ViewedInstance
 from ..rendering.visibility import order
 from ..util import rotations
+from .light import light
 
 SIDE = 480
 """Most pixels of the longer side of the picture of depths by which it is told what is seen."""
-BEHIND = 0.01
-"""A Gaussian is seen if it lies behind the surface by at most this share of its depth and its own deviation along the view, twice."""
+LEAST = 0.3
+"""Pixels of light below which a Gaussian is not touched."""
+BEHIND = 0.005
+"""A Gaussian is seen if it lies behind the surface by at most its own deviation along the view.  The surface is the deepest of the pixels
+around its centre, as it may be steep, but at most this share deeper than at its centre."""
 
 
 @dataclass(frozen=True)
@@ -98,9 +102,7 @@ def seen_surface(instances: list[Instance], camera: Camera, backend: str = "auto
 
     It is the whole image, at most SIDE pixels large: the median depth, where half of the light is stopped.
     """
-    size = min(1.0, SIDE / max(camera.width, camera.height))
-    small = camera.stretched(*(max(1, round(size * side)) for side in (camera.width, camera.height)))
-    return render(instances, small, passes=["median_depth"], backend=backend)["median_depth"]
+    return render(instances, _small(camera), passes=["median_depth"], backend=backend)["median_depth"]
 
 
 def under(instance: ViewedInstance, camera: Camera, shape: Shape, surface: np.ndarray | None = None, backend: str = "auto") -> np.ndarray:
@@ -121,11 +123,36 @@ def under(instance: ViewedInstance, camera: Camera, shape: Shape, surface: np.nd
     if surface is not None:
         turn = rotations.to_matrices(rotations.unit(quaternions_at(instance.model, instance.t, index)))
         axes = np.einsum("k,nkj->nj", to_camera[2, :3], turn) * np.exp(instance.model.scale[index].astype(np.float64))
-        limit = (1 + BEHIND) * _looked_up(surface, camera, pixel) + 2 * np.linalg.norm(axes, axis=1)
-        index = index[place[:, 2] <= limit]
+        padded = np.pad(surface, 1, mode="edge")
+        around = np.max([padded[a:a + surface.shape[0], b:b + surface.shape[1]] for a in range(3) for b in range(3)], axis=0)
+        limit = np.minimum(_looked_up(around, camera, pixel), (1 + BEHIND) * _looked_up(surface, camera, pixel))
+        index = index[place[:, 2] <= limit + np.linalg.norm(axes, axis=1)]
     out = np.zeros(len(instance.source), bool)
     out[index if instance.rows is None else instance.rows[index]] = True
     return out
+
+
+def touched(instance: ViewedInstance, camera: Camera, shape: Box | Stroke | Lasso, own: float = 0.5) -> np.ndarray:
+    """Which Gaussians make what is seen in a shape, wherever their centres are: [N] bool of the instance's source, for grow().
+
+    own  least share of what the picture shows of a Gaussian that lies in the shape: what reaches far beyond it is not meant
+    """
+    small = _small(camera)
+    x, y = np.meshgrid(np.arange(small.width) + 0.5, np.arange(small.height) + 0.5)
+    pixel = np.stack([x * camera.width / small.width, y * camera.height / small.height], -1)
+    mask = shape.holds(pixel.reshape(-1, 2)).reshape(x.shape)
+    drawn = np.flatnonzero(~instance.hidden) if len(instance.hidden) else np.arange(len(instance.model))
+    within, whole = light(instance.model.take(drawn), replace(small, world_to_camera=instance.model_to_camera), instance.t, mask).T
+    index = drawn[(within >= LEAST) & (within >= own * whole)]
+    out = np.zeros(len(instance.source), bool)
+    out[index if instance.rows is None else instance.rows[index]] = True
+    return out
+
+
+def _small(camera: Camera) -> Camera:
+    """The camera of the whole image, at most SIDE pixels large."""
+    size = min(1.0, SIDE / max(camera.width, camera.height))
+    return camera.stretched(*(max(1, round(size * side)) for side in (camera.width, camera.height)))
 
 
 def _looked_up(surface: np.ndarray, camera: Camera, pixel: np.ndarray) -> np.ndarray:

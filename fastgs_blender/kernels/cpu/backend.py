@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import initial, resample, steps, training, visible
+from . import initial, nearest, resample, steps, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -87,7 +87,7 @@ class CPU:
     mcmc_penalty = staticmethod(steps.mcmc_penalty)
     mcmc_noise = staticmethod(steps.mcmc_noise)
     adam = staticmethod(steps.adam)
-    neighbour_distance = staticmethod(initial.neighbour_distance)
+    nearest = staticmethod(nearest.nearest)
     project_points = staticmethod(initial.project_points)
     sweep = staticmethod(initial.sweep)
     resample = staticmethod(resample.resample)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels for starting points: projected points, distances to neighbours, and the plane sweep."""
+"""Kernels for starting points: projected points, and the plane sweep."""
 from __future__ import annotations
 
 import numpy as np
@@ -29,57 +29,6 @@ def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
             z = 1e-9
         places[i, 0] = fx * x / z + cx
         places[i, 1] = fy * y / z + cy
-
-
-def neighbour_distance(xyz: np.ndarray, turns: list[np.ndarray], count: int, leaf: int) -> np.ndarray:
-    """TrainingBackend.neighbour_distance()."""
-    asserts.neighbour_distance(xyz, turns)
-    best = np.full(len(xyz), np.inf)
-    for turn in turns:
-        among_leaves(np.ascontiguousarray(xyz @ turn), count, leaf, best)
-    return best
-
-
-@kernel
-def among_leaves(points, count, leaf, best):
-    """Lower best [P] to the distances of points [P, 3] within the leaves, of at most `leaf` points, of one k-d tree."""
-    order = np.arange(len(points))
-    near = np.empty(count)
-    stack = [(0, len(points))]
-    while stack:
-        first, last = stack.pop()
-        inside = points[order[first:last]]
-        if last - first > leaf:
-            axis, widest = 0, -1.0
-            for k in range(3):
-                width = inside[:, k].max() - inside[:, k].min()
-                if width > widest:
-                    axis, widest = k, width
-            order[first:last] = order[first:last][np.argsort(inside[:, axis])]
-            middle = first + (last - first) // 2
-            stack.append((first, middle))
-            stack.append((middle, last))
-            continue
-        found = min(count, last - first - 1)
-        if found < 1:
-            continue
-        for i in range(last - first):
-            near[:] = np.inf
-            for j in range(last - first):
-                if i == j:
-                    continue
-                squared = 0.0
-                for k in range(3):
-                    squared += (inside[i, k] - inside[j, k]) ** 2
-                place = count - 1
-                if squared >= near[place]:
-                    continue
-                while place > 0 and near[place - 1] > squared:
-                    near[place] = near[place - 1]
-                    place -= 1
-                near[place] = squared
-            row = order[first + i]
-            best[row] = min(best[row], np.sqrt(near[:found].mean()))
 
 
 def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: int) -> np.ndarray:

@@ -129,7 +129,7 @@ def test_neighbour_distance(rng, count):
     xyz = rng.normal(size=(count, 3))
     squared = np.sort(((xyz[:, None] - xyz[None]) ** 2).sum(-1), 1)[:, 1:4]
     found, exact = neighbour_distance(xyz), np.sqrt(squared.mean(1))
-    assert (found >= exact * (1 - 1e-9)).all()
+    assert (found >= exact * (1 - 1e-6)).all()
     assert np.mean(found / exact) < 1.03
 
 

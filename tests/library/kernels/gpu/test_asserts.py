@@ -57,7 +57,7 @@ def calls(backend, make_model, rng):
         "adam": {"rows": rows, "tensors": [(some(N, 3), some(N, 3), some(N, 3), some(N, 3), backend.zeros((N,), np.int32), 0.1, False)],
                  "betas": (0.9, 0.999), "moved": backend.zeros((N,), np.int64), "step": 1},
         "surface": {"triangles": rng.normal(size=(4, 3, 3)), "camera": CAMERA},
-        "neighbour_distance": {"xyz": rng.normal(size=(9, 3)), "turns": [np.eye(3)], "count": 2, "leaf": 4},
+        "nearest": {"points": rng.normal(size=(9, 3)), "turns": [np.eye(3)], "count": 2, "leaf": 4},
         "project_points": {"xyz": rng.normal(size=(9, 3)), "camera": CAMERA},
         "sweep": {"image": image, "others": [(other, np.eye(3), np.zeros(3))], "planes": np.ones((2, 3)), "outside": 1.0, "reach": 1},
         "resample": {"image": image, "positions": np.ones((4, 5, 2), np.float32)},

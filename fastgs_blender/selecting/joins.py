@@ -1,0 +1,92 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What joins the Gaussians of a model: neighbours in place and velocity, and how alike the two of each pair are."""
+from __future__ import annotations
+
+import threading
+from dataclasses import dataclass
+from weakref import WeakKeyDictionary
+
+import numpy as np
+
+from ..model.gaussians import GaussianModel
+from ..model.slicing import opacities_at, positions_at
+from ..rendering.filters import base_colours
+from .neighbours import nearest
+
+TIMES = 9
+"""Moments of the clip at which Gaussians are compared; at every second one of them their neighbours are looked for."""
+COUNT = 8
+"""Neighbours of a Gaussian at a moment."""
+ALIVE = 0.05
+"""Opacity from which on a Gaussian counts at a moment."""
+STRETCH, TINT = 0.15, 0.04
+"""Differences that count as none: a change of distance by the usual distance of neighbours, and a distance of colours.  In a model whose
+neighbours differ more than that, it is twice their median."""
+MOST_STRETCH, MOST_TINT = 12.0, 6.0
+"""What either can add to `differ`: a thing has several colours, but does not come apart."""
+
+
+@dataclass(frozen=True, eq=False)
+class Joins:
+    """Pairs of neighbours.
+
+    ends    [E, 2] int32, each pair once
+    near    [E] float32, their least distance, in units of the usual one of their neighbours
+    differ  [E] float32, how much they drift apart and differ in colour: 0 on, about 1 is unusual
+    """
+
+    ends: np.ndarray
+    near: np.ndarray
+    differ: np.ndarray
+
+
+_known: WeakKeyDictionary[GaussianModel, Joins] = WeakKeyDictionary()
+_lock = threading.Lock()
+
+
+def joins(model: GaussianModel) -> Joins:
+    """The joins of a model's Gaussians, kept while it lives.  Gaussians that are never seen have none."""
+    with _lock:
+        found = _known.get(model)
+    if found is None:
+        with np.errstate(all="ignore"):
+            found = _found(model)
+        with _lock:
+            _known[model] = found
+    return found
+
+
+def _found(model: GaussianModel) -> Joins:
+    times = (np.arange(TIMES) + 0.5) / TIMES
+    place = np.stack([positions_at(model, t) for t in times]).astype(np.float32)
+    alive = np.stack([opacities_at(model, t) >= ALIVE for t in times])
+    changes = model.basis.terms > 0 or not (alive == alive[0]).all()
+    keys, usual, weight = [np.zeros(0, np.int64)], np.zeros(len(model)), np.zeros(len(model))
+    for k in range(0, TIMES, 2) if changes else [0]:
+        rows = np.flatnonzero(alive[k])
+        if len(rows) < 2:
+            continue
+        velocity = model.basis.evaluate(model.motion[rows], times[k], model.mu_tau[rows].astype(np.float64))[1]
+        index, squared = nearest(np.concatenate([place[k][rows], 0.5 * velocity / TIMES], 1), COUNT, trees=2, leaf=48)
+        there = index >= 0
+        usual[rows] += np.sqrt(np.where(there, squared, 0)[:, :COUNT // 2]).mean(1)
+        weight[rows] += 1
+        i, j = np.repeat(rows, index.shape[1])[there.ravel()], rows[index[there]]
+        keys.append(np.minimum(i, j) * len(model) + np.maximum(i, j))
+    pairs = np.unique(np.concatenate(keys))
+    i, j = ends = pairs // max(len(model), 1), pairs % max(len(model), 1)
+    low, high = np.full(len(pairs), np.inf, np.float32), np.zeros(len(pairs), np.float32)
+    for at, seen in zip(place, alive):
+        both = np.flatnonzero(seen[i] & seen[j])
+        apart = np.linalg.norm(at[i[both]] - at[j[both]], axis=1)
+        low[both], high[both] = np.minimum(low[both], apart), np.maximum(high[both], apart)
+    usual /= np.maximum(weight, 1)
+    unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
+    colour = base_colours(model)
+    differ = (_unusual((high - low) / unit, STRETCH, MOST_STRETCH)
+              + _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT))
+    return Joins(np.stack(ends, 1).astype(np.int32), (low / unit).astype(np.float32), differ.astype(np.float32))
+
+
+def _unusual(value: np.ndarray, least: float, most: float) -> np.ndarray:
+    return np.minimum(0.5 * (value / max(least, 2 * float(np.median(value)) if len(value) else 0.0)) ** 2, most)

@@ -1,0 +1,88 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Things that touch and move are told apart from two strokes, on all frames."""
+from __future__ import annotations
+
+import dataclasses
+import warnings
+
+import numpy as np
+import pytest
+import touching_scenes as scenes
+from random_models import random_model
+
+import fastgs_blender as fg
+from fastgs_blender.kernels.cpu.walk import potential
+from fastgs_blender.selecting.grow import connected, grow
+from fastgs_blender.selecting.joins import joins
+from fastgs_blender.selecting.neighbours import nearest
+
+
+def made(name):
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the bake's, on how closely fast limbs are followed
+        return scenes.made(name, 3000)
+
+
+@pytest.mark.parametrize("name", ["ball and box", "cloths", "same colours", "lifted"])
+def test_two_strokes_select_a_thing(name):
+    """Seen in other views and on other frames than those of the strokes; then from the one stroke over the thing alone."""
+    scene = made(name)
+    yes, no = scenes.strokes(scene.model, scene)
+    assert yes.sum() < 0.4 * scene.truth.sum()
+    for against in (no, None):
+        assert min(scenes.overlaps(scene.model, grow(scene.model, yes, against), scene, views=(3, 6), times=(0.1, 0.8))) >= 0.9
+
+
+def test_what_stands_still_is_told_by_colour():
+    scene = made("still life")
+    yes, no = scenes.strokes(scene.model, scene)
+    assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
+    grey = dataclasses.replace(scene.model, features=np.full_like(scene.model.features, 0.5))
+    assert np.mean(grow(grey, yes, no) == scene.truth) < 0.99
+
+
+def test_a_few_wrong_gaussians_of_a_stroke_are_outvoted():
+    scene = made("ball and box")
+    yes, no = scenes.strokes(scene.model, scene)
+    yes |= np.isin(np.arange(len(yes)), np.random.default_rng(0).choice(np.flatnonzero(~scene.truth & ~no), 4, replace=False))
+    assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
+
+
+def test_without_a_stroke_there_is_a_sentence():
+    with pytest.raises(fg.FastGSError, match="draw a stroke"):
+        grow(random_model(np.random.default_rng(0), 30), np.zeros(30, bool))
+
+
+def test_gaussians_that_lie_together_are_connected():
+    """Two clumps, and one Gaussian between them that is far from both."""
+    rng = np.random.default_rng(1)
+    place = np.concatenate([rng.uniform(0, 1, (80, 3)), rng.uniform(0, 1, (80, 3)) + [4, 0, 0], [[2.5, 0.5, 0.5]]])
+    model = fg.GaussianModel(place, np.tile([1.0, 0, 0, 0], (161, 1)), np.full((161, 3), -3.0), np.full(161, 3.0), np.full((161, 3), 0.5))
+    some = np.arange(161) == 5
+    np.testing.assert_array_equal(connected(model, some), np.arange(161) < 80)
+    assert not connected(model, some ^ some).any() and (connected(model, some, 0.0) == some).all()
+    assert joins(model) is joins(model)
+
+
+@pytest.mark.parametrize("width", [3, 7])
+def test_nearest_neighbours(rng, width):
+    points = rng.normal(size=(2000, width))
+    index, squared = nearest(points, 6)
+    exact = np.sort(((points[:, None] - points[None]) ** 2).sum(-1), 1)[:, 1:7]
+    np.testing.assert_allclose(squared, ((points[index] - points[:, None]) ** 2).sum(-1), rtol=1e-4)
+    assert (np.diff(squared) >= 0).all() and all(len(set(row)) == 6 for row in index.tolist())
+    assert np.mean(np.sqrt(squared / exact)) < 1.15
+    assert nearest(points[:1], 6)[0].tolist() == [[-1] * 6]
+
+
+def test_the_potential_solves_its_equations(rng):
+    ends = np.unique(np.sort(rng.integers(0, 40, (150, 2)), 1), axis=0)
+    ends = ends[ends[:, 0] < ends[:, 1]].astype(np.int32)
+    weight, ground, source = rng.uniform(0.5, 1, len(ends)).astype(np.float32), rng.uniform(0.1, 1, 40), rng.normal(size=40)
+    matrix = np.diag(ground)
+    for (i, j), w in zip(ends, weight):
+        matrix[[i, j], [i, j]] += w
+        matrix[[i, j], [j, i]] -= w
+    exact = np.linalg.solve(matrix, source)
+    assert np.abs(potential(ends, weight, ground, source, rng.normal(size=(40, 3))) - exact).max() < 0.03 * np.abs(exact).max()
+    assert not potential(ends, weight, ground, 0 * source, rng.normal(size=(40, 3))).any()
