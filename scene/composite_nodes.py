@@ -6,7 +6,7 @@ Where meshes hide splats, splats + meshes x the light that the holdout stops; el
 the meshes what these have of a lamp's light, and the meshes' shadows, caught by shadow catchers, from the splats.
 
 At the edge of a mesh before splats before another mesh, the pixel's colour of the meshes is a mixture, and half of it belongs behind the
-splats.  There the first mesh has its colour from the pixels beside the edge that are wholly its own.
+splats.  There the hidden colour is taken out, with the colours that both meshes have beside the edge.
 """
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ FAINT = 1e-4
 """Light of a pixel below which it does not matter what stops it."""
 WHOLE = 0.99
 """Light of a pixel from which on meshes have stopped all of it."""
-THIN = 0.01
-"""Weight of colours that have pixels of another mesh beside them; they count where there are no others."""
-REACH = 3
-"""Pixels around an edge in which colours are looked for."""
+REACH, FAR = 3, 32
+"""Pixels around a sharp edge, and around a blurred one, in which colours are looked for."""
+SHARP = 0.95
+"""Share of the opacity of splats far around that those nearby have at a sharp edge."""
 
 
 def shade(tree: bpy.types.NodeTree) -> None:
@@ -81,22 +81,32 @@ def _begin(tree, sockets) -> Builder:
 def _clean(b: Builder, held, meshes, cover):
     """The meshes' part of a pixel, its alpha being cover, without what at edges belongs behind splats.
 
-    Splats of the opacity a around an edge show in the pixel with alpha, so (1 - a) of the mixture is right, and a - alpha is the first
-    mesh's alone.
+    Where the first mesh is whole beside the edge: splats of the opacity a around it show in the pixel with alpha, so (1 - a) of the
+    mixture is right, and a - alpha is the first mesh's alone.  Where it is not, because it is thin or blurred: the mixture without alpha
+    of the hidden mesh, whose colour is that of the pixels in which it lies behind splats.
     """
     given, math = b.given, b.math
+    near, alpha = _around(b, given["Mesh Depth"], -REACH), given["Splat Alpha"]
     whole = math('GREATER_THAN', _around(b, given["Splat Holdout"], -1), WHOLE)  # other engines' pixels reach into their neighbours
-    thin = math('MULTIPLY', math('GREATER_THAN', given["Splat Holdout"], WHOLE), THIN)
+    between = math('LESS_THAN', near, given["Splat Depth"])
+    edge = math('MULTIPLY', between, math('SUBTRACT', 1.0, whole))
+
+    behind = math('SUBTRACT', 1.0, between)
+    weight = math('ADD', _blurred(b, behind, FAR), 0.0)
+    hidden = _alpha(b, 'Apply Mask', _blurred(b, _alpha(b, 'Apply Mask', meshes, behind), FAR), math('DIVIDE', alpha, weight))
+    rest = _mix(b, 'LIGHTEN', 1.0, (0.0, 0.0, 0.0, 1.0), _mix(b, 'SUBTRACT', 1.0, meshes, hidden))
+    rest = _alpha(b, 'Apply Mask', rest, math('DIVIDE', 1.0, math('SUBTRACT', 1.0, alpha)))
+    known = math('MULTIPLY', edge, math('GREATER_THAN', weight, FAINT))
+    blurred = _mix(b, 'MIX', known, held, _alpha(b, 'Replace Alpha', rest, cover))
+
     first = math('LESS_THAN', given["Mesh Depth"], _around(b, given["Splat Depth"], -REACH))
-    first = math('MULTIPLY', first, math('MAXIMUM', whole, thin))
-    near = _blurred(b, _alpha(b, 'Apply Mask', meshes, first))
-    alpha = b.node('CompositorNodeSeparateColor', (near,)).outputs["Alpha"]
-    between = math('LESS_THAN', _around(b, given["Mesh Depth"], -REACH), given["Splat Depth"])
-    between = math('MULTIPLY', between, math('GREATER_THAN', alpha, FAINT))
-    own = math('SUBTRACT', _around(b, given["Splat Alpha"], REACH), given["Splat Alpha"])
-    share = math('DIVIDE', own, given["Splat Holdout"], clamp=True)
-    share = math('MULTIPLY', share, math('MULTIPLY', between, math('SUBTRACT', 1.0, whole)))
-    return _mix(b, 'MIX', share, held, _alpha(b, 'Apply Mask', near, math('DIVIDE', cover, alpha)))
+    own = _blurred(b, _alpha(b, 'Apply Mask', meshes, math('MULTIPLY', first, whole)), REACH)
+    found = b.node('CompositorNodeSeparateColor', (own,)).outputs["Alpha"]
+    around = _around(b, alpha, REACH)
+    sharp = math('GREATER_THAN', around, math('MULTIPLY', _around(b, alpha, FAR), SHARP))
+    share = math('DIVIDE', math('SUBTRACT', around, alpha), given["Splat Holdout"], clamp=True)
+    sharply = _mix(b, 'MIX', math('MULTIPLY', share, edge), held, _alpha(b, 'Apply Mask', own, math('DIVIDE', cover, found)))
+    return _mix(b, 'MIX', math('MULTIPLY', sharp, math('GREATER_THAN', found, FAINT)), blurred, sharply)
 
 
 def _around(b: Builder, number, pixels: int):
@@ -109,12 +119,12 @@ def _around(b: Builder, number, pixels: int):
     return node.outputs[0]
 
 
-def _blurred(b: Builder, image):
+def _blurred(b: Builder, image, pixels: int):
     node = b.node('CompositorNodeBlur', {"Image": image})
     if hasattr(node, "size_x"):  # before Blender 5
-        node.filter_type, node.size_x, node.size_y = 'GAUSS', REACH, REACH
+        node.filter_type, node.size_x, node.size_y = 'GAUSS', pixels, pixels
     else:
-        node.inputs["Type"].default_value, node.inputs["Size"].default_value = 'Gaussian', (REACH, REACH)
+        node.inputs["Type"].default_value, node.inputs["Size"].default_value = 'Gaussian', (pixels, pixels)
     return node.outputs[0]
 
 

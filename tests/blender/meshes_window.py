@@ -10,7 +10,7 @@ from window import area_of, f12, shot, until, within
 
 
 def joined(model, engine):
-    """Choose an engine, then add a wall as a user does; F12; then Off.  What the two scenes hold, and the picture's file."""
+    """Choose an engine, then add a wall and a sun with a splat shadow as a user does; F12; then Off: what both scenes hold, and files."""
     scene = bring(model)
     look(scene, 320, 240)
     scene.view_settings.view_transform = 'Raw'
@@ -27,14 +27,25 @@ def joined(model, engine):
     emission.inputs["Color"].default_value = (0, 1, 0, 1)
     material.node_tree.links.new(emission.outputs[0], material.node_tree.get_output_node('ALL').inputs["Surface"])
     wall.data.materials.append(material)
+    with within(area):
+        bpy.ops.object.light_add(type='SUN', rotation=(0.6, 0.4, 0))
+    sun = bpy.context.view_layer.objects.active
+    sun.fastgs.splat_shadow = True
     scene.render.motion_blur_shutter = 0.75
-    followed = yield from until(lambda: wall.name in other.objects)
+    scene.render.filepath = os.path.abspath(f"with-meshes-{engine.lower()}-")
+    other.view_layers[0].use_pass_normal = scene.fastgs.write_passes = True
+    followed = yield from until(lambda: sun.name in other.objects and wall.name in other.objects)
     yield from f12(area)
     shot(f"with-meshes-{engine.lower()}")
     picture = f"with-meshes-{engine.lower()}.png"
     scene.render.image_settings.file_format = 'PNG'
     bpy.data.images["Render Result"].save_render(os.path.abspath(picture), scene=scene)
-    facts = {"followed": followed, "shutter": other.render.motion_blur_shutter, "picture": picture, "engine": other.render.engine}
+    facts = {"followed": followed, "shutter": other.render.motion_blur_shutter, "picture": picture, "engine": other.render.engine,
+             "shaded": [node.label for node in _tree(scene).nodes if node.name.startswith("FAST-GS Shade")]}
     scene.fastgs.render_meshes = 'OFF'
     yield 1.0
     return {**facts, "scenes": len(bpy.data.scenes)}
+
+
+def _tree(scene):
+    return scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree

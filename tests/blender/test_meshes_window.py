@@ -2,6 +2,7 @@
 """*Render With Meshes* as users have it in a window."""
 from __future__ import annotations
 
+import OpenEXR
 import pytest
 from conftest import read_png
 
@@ -15,4 +16,7 @@ def test_a_mesh_that_is_added_later_is_in_the_picture(user, small_model, engine)
     green = (picture[..., 1] > 0.95) & (picture[..., 0] < 0.05)
     assert 1000 < green.sum() < 30_000, "the wall"
     assert ((picture[..., 3] > 0.5) & ~green).sum() > 3000, "the splats"
-    assert facts["scenes"] == 1
+    assert facts["scenes"] == 1 and facts["shaded"] == ["Sun"]
+    with OpenEXR.File(str(next(user.folder.glob(f"with-meshes-{engine.lower()}-passes_*.exr"))), separate_channels=True) as file:
+        found = {name if name.count(".") > 1 else f"{part.header['name']}.{name}" for part in file.parts for name in part.channels}
+    assert {"Composite.Combined.R", "ViewLayer.Depth.V", "ViewLayer.Splat Shadow.V", "ViewLayer Meshes.Normal.X"} <= found

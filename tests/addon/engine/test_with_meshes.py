@@ -263,13 +263,19 @@ def test_a_shadow_catcher_lays_the_shadows_of_meshes_over_splats(scene, screen, 
 def test_a_mesh_behind_splats_does_not_leak_at_the_edge_of_one_before_them(scene, screen, wall, add_camera, choose, render):
     """A turned green square before red splats before a blue wall, of which nothing is seen."""
     add_camera(lens=30.0)
-    wall(0, -1.0, (0, 1, 0), size=2.0).rotation_euler.y = 0.3
+    square = wall(0, -1.0, (0, 1, 0), size=2.0)
+    square.rotation_euler.y = 0.3
     wall(0, 1.0, (0, 0, 1), size=20)
     choose().cycles.samples = 32
     picture = render("PNG16")
     assert picture[..., 1].max() > 0.99 and picture[..., 2].max() < 0.03
     green, red = picture[..., 1], picture[..., 0] / np.median(picture[:, :8, 0])
     np.testing.assert_allclose((green + red)[4:-4, 8:-8], 1, atol=0.25)  # the red screen is no even surface
+    for frame, x in ((0, -0.6), (2, 0.6)):
+        square.location.x = x
+        square.keyframe_insert("location", frame=frame)
+    scene.render.use_motion_blur = True
+    assert render("PNG16")[24, :, 1].max() > 0.3 and render("PNG16")[..., 2].max() < 0.16
 
 
 def test_two_scenes_in_one_compositor(scene, screen, wall, add_camera, choose, render, compositor):
