@@ -94,10 +94,11 @@ bench: .venv/ready
 extension: .venv/ready
 	@$(PY) tools/build_extension.py
 
-site: .venvs/site/ready
+site: .venvs/site/ready .venv/ready
+	@$(PY) tools/website/gallery.py --models
 	@.venvs/site/bin/python tools/website/build.py $(if $(WEBSITE),--website $(WEBSITE))
 
-# The pictures in docs/gallery, and the models that they show.
+# The pictures in docs/gallery, and the models that they show.  The site makes those models that are not there yet.
 gallery: .venv/ready
 	@$(PY) tools/website/gallery.py
 

@@ -13,6 +13,9 @@ NAMES = ("first-solid", "solid", "rendered", "f12", "crop", "overlays", "cameras
          "ordinary-joined", "first-preferences", "sequence-panel")
 LIMIT = 400_000
 """Bytes of a picture."""
+PAGES = {"page-dialog": (249, 28, 1280, 778), "page-desktop": None, "page-phone": (0, 96, 390, 844)}
+"""Pictures of web pages and of the dialog that makes them, alike in all Blenders; and the part (left, top, right, bottom) to take."""
+PAGE_LIMIT = 60_000
 
 
 def packed(path: Path) -> bytes:
@@ -27,9 +30,9 @@ def packed(path: Path) -> bytes:
 
 
 def main():
-    """For each Blender that was tested: docs/blender-VERSION-NAME.png, where a page names it."""
+    """For each Blender that was tested: docs/blender-VERSION-NAME.png, where a page names it; docs/NAME.webp of web pages."""
     pages = "".join(page.read_text("utf-8") for page in [ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
-    tested = sorted({path.parent for name in NAMES for path in (ROOT / "build" / "blender").glob(f"*/{name}.png")})
+    tested = sorted({path.parent for name in (*NAMES, *PAGES) for path in (ROOT / "build" / "blender").glob(f"*/{name}.png")})
     if not tested:
         sys.exit("There are no screenshots; make test-blender takes them.")
     for folder in tested:
@@ -39,6 +42,14 @@ def main():
             if picture.exists() and target.name in pages:
                 target.write_bytes(packed(picture))
                 print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
+    for name, part in PAGES.items():
+        for picture in sorted((ROOT / "build" / "blender").glob(f"*/{name}.png"))[:1]:
+            target = ROOT / "docs" / f"{name}.webp"
+            for quality in (80, 65, 50):
+                Image.open(picture).convert("RGB").crop(part).save(target, quality=quality, method=6)
+                if target.stat().st_size < PAGE_LIMIT:
+                    break
+            print(f"{target.relative_to(ROOT)}: {target.stat().st_size / 1000:.0f} kB")
 
 
 if __name__ == "__main__":

@@ -121,7 +121,8 @@ def site(build, staged, tmp_path_factory):
     out = tmp_path_factory.mktemp("dist")
     (out / "index.json").write_text(json.dumps(INDEX), "utf-8")
     (staged / "play").mkdir()
-    (staged / "play" / "dancer.html").write_text("<title>in the place of a page of 5 MB</title>", "utf-8")
+    for name in ("dancer", "robot"):
+        (staged / "play" / f"{name}.html").write_text("<title>in the place of a page of MB</title>" + 1_200_000 * " ", "utf-8")
     build.generate(staged, out.parent / "site", out)
     build.publish(out.parent / "site", out)
     return out
@@ -144,10 +145,16 @@ def test_the_site_is_whole_and_asks_no_other_host(site):
 
 def test_the_first_page_has_it_all(site):
     text = (site / "index.html").read_text("utf-8")
-    for part in ('class="stage"', 'src="play/dancer.html#play=1"', 'class="card"', 'href="index.json"', "platforms=windows-x64",
-                 'id="install-it-in-blender"', "guide.html"):
+    for part in ('class="stage"', 'src="play/dancer.html#play=1"', 'class="card"', 'href="play/robot.html"', "1.2 MB", 'href="index.json"',
+                 "platforms=windows-x64", 'id="install-it-in-blender"', "guide.html"):
         assert part in text, part
     assert text.count("first-light.webp") <= 1  # README's picture is the stage's
+
+
+def test_the_document_about_pages_lists_those_of_the_gallery(site, hooks):
+    text = (site / "docs" / "web.html").read_text("utf-8")
+    links = [link for link in Read(text).links if "play/" in link]
+    assert links == ["../play/dancer.html", "../play/robot.html"] and hooks.PLAYED not in text
 
 
 def test_search_finds_words_of_the_guide(site):

@@ -4,7 +4,7 @@
     python tools/website/build.py [--website URL] [--out dist]
 
 The site works from a folder, by a double click on its index.html.  If --out holds the zips of `make extension`, their index lies beside it,
-and the first page offers them.
+and the first page offers them.  The models of `gallery.py --models` play on pages of their own.
 """
 from __future__ import annotations
 
@@ -32,7 +32,9 @@ def main(argv=None) -> Path:
     parser.add_argument("--website", default="", help="the address where it is published, if it is known")
     args = parser.parse_args(argv)
     stage(WORK / "pages")
-    gallery.play("dancer", gallery.EXAMPLE, WORK / "pages" / "play" / "dancer.html")
+    for name in gallery.ENTRIES:
+        if gallery.model_of(name).exists():
+            gallery.play(name, WORK / "pages" / "play" / f"{name}.html")
     generate(WORK / "pages", WORK / "site", args.out, args.website)
     return publish(WORK / "site", args.out)
 

@@ -1,17 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The models of the site's gallery, and their moving pictures in docs/gallery.
+"""The models of the site's gallery, their pages, and their moving pictures in docs/gallery.
 
-    python tools/website/gallery.py [NAME ...]
+    python tools/website/gallery.py [NAME ...]            models and pictures
+    python tools/website/gallery.py --models [NAME ...]   the models alone, those that are not there yet
 
-The models go to build/gallery.  All are made of what is in the repository, but for the robot: a character of others under CC0, which is
-looked for in ../shared/data.  An entry whose source is not there keeps the picture that it has.
+The models go to build/gallery, compressed, and `make site` makes a page of each.  All are made of what is in the repository.
 """
 from __future__ import annotations
 
 import argparse
 import multiprocessing
-import shutil
 import sys
+import tempfile
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -21,7 +21,8 @@ ROOT = Path(__file__).resolve().parents[2]
 sys.path[:0] = [str(ROOT), str(ROOT / "tools"), str(ROOT / "benchmarks")]
 EXAMPLE = ROOT / "examples" / "fireside.safetensors"
 MODELS, PICTURES = ROOT / "build" / "gallery", ROOT / "docs" / "gallery"
-ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
+BACKGROUND = "#242c35"
+"""Of the pages of what is transparent where nothing is."""
 SIZE, FRAMES, QUALITY = (400, 300), 36, 40
 WINDOW = (960, 540)
 """Of a page's camera."""
@@ -36,7 +37,7 @@ class Entry:
     eye                from there to the camera: distance, and the angles around and above in degrees
     sway               how far the camera swings to each side, in degrees
     turns_back         whether the clip plays there and back; otherwise it begins anew
-    count              how many Gaussians a bake has
+    count, samples     how many Gaussians a bake has, and Cycles' samples of the light on each; 0: colours without light
     open               whether its picture is transparent where nothing is; a room fills it
     """
 
@@ -46,73 +47,80 @@ class Entry:
     eye: tuple[float, float, float]
     sway: float
     turns_back: bool = False
-    count: int = 50_000
+    count: int = 0
+    samples: int = 0
     open: bool = False
 
 
 ENTRIES = {
     "dancer": Entry("A dancer", "Trained from twelve cameras. She dances there and back, without a seam.", (0.0, 0.2, 1.0),
-                    (3.0, -8, 8), 22, turns_back=True),
-    "room": Entry("A room", "A furnished scene with two people, baked with the light of Cycles.", (0.0, 0.6, 0.9), (3.3, 0, 14), 14,
-                  turns_back=True, count=200_000),
-    "robot": Entry("A robot", "A rigged character (Tomás Laulhé, CC0), baked without training.", (0.0, 0.0, 2.3), (7.4, 24, 8),
-                   20, open=True),
+                    (3.0, -8, 8), 12, turns_back=True),
+    "room": Entry("A room", "Furniture and two people, baked with the light of Cycles.", (0.0, 0.6, 0.9), (3.3, 0, 14), 14,
+                  turns_back=True, count=60_000, samples=32),
+    "robot": Entry("A robot", "Forty rigid parts, baked without training. Its dance has no seam.", (0.0, 0.0, 0.95), (3.7, 18, 10), 24,
+                   count=60_000, samples=32, open=True),
     "fire": Entry("Fire and cloth", "A flame, a flag, thrown balls and spinners, baked.", (0.0, 0.0, 0.8), (3.4, 10, 10), 18,
-                  turns_back=True, open=True),
+                  turns_back=True, count=50_000, open=True),
 }
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("names", nargs="*", choices=[[], *ENTRIES], metavar="NAME", help=f"{', '.join(ENTRIES)}; default: all")
-    for name in parser.parse_args().names or ENTRIES:
-        model = MODELS / f"{name}.safetensors"
-        if not model.exists():
-            model.parent.mkdir(parents=True, exist_ok=True)
-            making = multiprocessing.get_context("spawn").Process(target=make, args=(name, model))  # one Blender for each scene
+    parser.add_argument("--models", action="store_true", help="take no pictures")
+    args = parser.parse_args()
+    for name in args.names or ENTRIES:
+        if not model_of(name).exists():
+            making = multiprocessing.get_context("spawn").Process(target=bake, args=(name, model_of(name)))  # one Blender for each scene
             making.start()
             making.join()
-        if model.exists():
-            picture = film(name, model)
-            print(f"{picture.relative_to(ROOT)}: {picture.stat().st_size / 1000:.0f} kB; {model.stat().st_size / 1e6:.1f} MB of model")
+            if making.exitcode:
+                sys.exit(f"The model of {name} was not made; the reason stands above.")
+            print(f"{model_of(name).relative_to(ROOT)}: {model_of(name).stat().st_size / 1e6:.1f} MB")
+        if not args.models:
+            picture = film(name)
+            print(f"{picture.relative_to(ROOT)}: {picture.stat().st_size / 1000:.0f} kB")
 
 
-def make(name: str, path: Path) -> None:
-    """The entry's model: the example itself, or the bake of a scene."""
-    if name == "dancer":
-        shutil.copy(EXAMPLE, path)
-        return
-    if name == "robot" and not ROBOT.exists():
-        print(f"{ROBOT} is not there, so the robot keeps the picture that it has.")
-        return
+def model_of(name: str) -> Path:
+    """The file of an entry's model, which may not be there yet."""
+    return EXAMPLE if ENTRIES[name].count == 0 else MODELS / f"{name}.safetensors"
+
+
+def bake(name: str, path: Path) -> None:
+    """The entry's model: the bake of its scene, compressed."""
     from blender_setup import ADDON, enable_addon
 
     enable_addon()
     import addon_utils
     import bpy
     import capture_scenes
+    import robot
     import room_scene
 
-    if name == "robot":
-        capture_scenes.open_file(ROBOT, "Robot_Dance")
-        capture_scenes.light()
-    else:
-        {"room": room_scene.furnished, "fire": capture_scenes.procedural}[name](36)
-        addon_utils.enable(ADDON)  # a scene of its own begins with factory settings
+    import fastgs_blender as fg
+
+    entry = ENTRIES[name]
+    {"room": room_scene.furnished, "robot": robot.dancing, "fire": capture_scenes.procedural}[name](FRAMES)
+    addon_utils.enable(ADDON)  # a scene of its own begins with factory settings
     for obj in bpy.context.scene.objects:
         obj.select_set(obj.type == 'MESH' and not obj.hide_render)
-    bpy.ops.fastgs.bake(filepath=str(path), count=ENTRIES[name].count, max_order=24, import_result=False,
-                        lighting='NONE' if name == "fire" else 'CYCLES', light_samples=32, light_frames=4)
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with tempfile.TemporaryDirectory(dir=path.parent) as folder:
+        whole = Path(folder) / path.name
+        bpy.ops.fastgs.bake(filepath=str(whole), count=entry.count, max_order=24, import_result=False,
+                            lighting='CYCLES' if entry.samples else 'NONE', light_samples=max(entry.samples, 1), light_frames=4)
+        fg.save(fg.load(whole), path, compress="fine")
 
 
-def film(name: str, path: Path) -> Path:
+def film(name: str) -> Path:
     """The entry as an animated WebP that loops, transparent where nothing is."""
     from PIL import Image
 
     import fastgs_blender as fg
     from fastgs_blender.rendering.colour import display
 
-    entry, model, pictures = ENTRIES[name], fg.load(path), []
+    entry, model, pictures = ENTRIES[name], fg.load(model_of(name)), []
     for k in range(FRAMES):
         image = fg.render(model, *moment(entry, k / FRAMES, model.clip.frame_count))
         colour = display(image["rgb"], image["alpha"], model.colour_space)
@@ -127,18 +135,21 @@ def film(name: str, path: Path) -> Path:
     return target
 
 
-def play(name: str, path: Path, target: Path) -> None:
+def play(name: str, target: Path) -> None:
     """The entry as a web page, with the camera's swing as its opening move."""
     import fastgs_blender as fg
     from fastgs_blender.formats.web import kept_file, save_page
     from fastgs_blender.formats.web.page import Page, PageObject
+    from fastgs_blender.rendering.colour import srgb_to_linear
 
-    entry, model = ENTRIES[name], fg.load(path)
+    entry, model = ENTRIES[name], fg.load(model_of(name))
     frames = model.clip.frame_count * (2 if entry.turns_back else 1)
     cameras, times = zip(*(moment(entry, k / frames, model.clip.frame_count, WINDOW) for k in range(frames)), strict=True)
-    page = Page([PageObject(model, times=times)], cameras, entry.title, frames, model.clip.fps, pivot=entry.target)
+    behind = srgb_to_linear(np.array([int(BACKGROUND[i:i + 2], 16) / 255 for i in (1, 3, 5)]) * entry.open)
+    page = Page([PageObject(model, times=times)], cameras, entry.title, frames, model.clip.fps, background=behind.tolist(),
+                pivot=entry.target)
     target.parent.mkdir(parents=True, exist_ok=True)
-    save_page(page, target, packed={model: kept_file(path)})
+    save_page(page, target, packed={model: kept_file(model_of(name))})
 
 
 def moment(entry: Entry, part: float, frames: int, size: tuple[int, int] = SIZE) -> tuple:

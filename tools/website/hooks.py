@@ -17,6 +17,8 @@ from html_pages import anchor  # noqa: E402
 ITEM = re.compile(r" *([*+-]|\d+\.) +(?=\S)")
 FIRST = re.compile(r"!\[(?P<alt>[^\]]*)\]\((?P<src>[^)]*)\)\s+# (?P<title>[^\n]+)\s+(?P<lead>[^.]+\.)(?P<rest>.*)", re.DOTALL)
 """How README begins: its picture, its title, a sentence."""
+PLAYED = "<!-- pages of the gallery -->"
+"""Where a document has this, the site lists them."""
 SYSTEMS = (("windows", "windows-x64", "Windows"), ("apple", "macos-arm64", "macOS, Apple silicon"), ("apple", "macos-x64", "macOS, Intel"),
            ("linux", "linux-x64", "Linux"))
 """Icon, Blender's name of the platform, ours."""
@@ -37,7 +39,7 @@ def on_page_markdown(markdown, page, config, files, **_):
         page.meta |= {"gallery": cards(files), "systems": systems(out / "index.json"), "play": there(files, "play/dancer.html"),
                       "repository": (config.site_url or "") + "index.json" if (out / "index.json").is_file() else ""}
         markdown = first["rest"]
-    return reindented(markdown)
+    return reindented(markdown.replace(PLAYED, "\n".join(played(page.file, files))))
 
 
 def there(files, path: str) -> str:
@@ -46,10 +48,21 @@ def there(files, path: str) -> str:
 
 
 def cards(files) -> list[dict]:
-    """The gallery's entries that have a picture; with a page, where one was made."""
+    """The gallery's entries that have a picture; with a page and its size, where one was made."""
     return [dict(title=entry.title, words=entry.words, picture=picture, still=there(files, f"docs/gallery/{name}-still.webp"),
-                 play=there(files, f"play/{name}.html"))
+                 play=(play := there(files, f"play/{name}.html")), size=megabytes(files, play))
             for name, entry in ENTRIES.items() if (picture := there(files, f"docs/gallery/{name}.webp"))]
+
+
+def megabytes(files, path: str) -> str:
+    """The size of a file of the site; empty without one."""
+    return f"{Path(files.get_file_from_path(path).abs_src_path).stat().st_size / 1e6:.1f} MB" if path else ""
+
+
+def played(here, files) -> list[str]:
+    """A list of the gallery's pages, with links from a page of the documents."""
+    return [f"* [{card['title']}]({os.path.relpath(card['play'], Path(here.src_path).parent)}), {card['size']}: {card['words']}"
+            for card in cards(files) if card["play"]]
 
 
 def systems(index: Path) -> list[dict]:
