@@ -20,6 +20,8 @@ NEAR = 2.0
 """Pixels that the mouse must move until the path gets another point."""
 CLICK = 6.0
 """Radius of what a click means, in pixels."""
+STROKES = {'CIRCLE', 'CLICK'}
+"""Shapes that mean what is seen under them, for Grow to the Thing."""
 WORDS = {'ERASE': "hidden", 'RESTORE': "shown again"}
 
 
@@ -74,17 +76,20 @@ class FASTGS_OT_select_gaussians(Action, bpy.types.Operator):
             shape = self._drawn(points, sight)
             if shape is None:  # a ball, where nothing is
                 return {'CANCELLED'}
-            return self._done(context, sight.under(context.object, shape, self.through and self.shape != 'CLICK', self.what == 'RESTORE'))
+            through = self.through and self.shape != 'CLICK'
+            found = sight.under(context.object, shape, through, self.what == 'RESTORE')
+            strokes = self.what == 'SELECT' and self.shape in STROKES and not through
+            return self._done(context, found, sight.touched(context.object, shape) if strokes else None)
         except FastGSError as error:
             return self.fail(error)
 
-    def _done(self, context, found):
+    def _done(self, context, found, meant):
         obj = context.object
         if self.what != 'SELECT':
             count = selection.erase(obj, found, self.what == 'ERASE')
             changed, text = count > 0, f"{count:,} Gaussians {WORDS[self.what]}"
         else:
-            changed = selection.drawn(obj, found, self.mode)
+            changed = selection.drawn(obj, found, self.mode, meant)
             text = f"{selection.bits(obj, 'selection').sum():,} Gaussians selected"
         self.report({'INFO'}, text)
         return {'FINISHED'} if changed else {'CANCELLED'}  # what changes nothing is no undo step
@@ -127,7 +132,10 @@ class FASTGS_OT_select_gaussians(Action, bpy.types.Operator):
         elif event.type == 'LEFTMOUSE' and event.value == 'RELEASE':
             self.path.add().loc = mouse
             self.cancel(context)
-            return self.execute(context)
+            done = self.execute(context)
+            if self.shape == 'CLICK' and done == {'FINISHED'} and bpy.ops.fastgs.grow.poll():
+                bpy.ops.fastgs.grow('INVOKE_DEFAULT')
+            return done
         elif event.type in {'ESC', 'RIGHTMOUSE'} and event.value == 'PRESS':
             self.cancel(context)
             return {'CANCELLED'}

@@ -15,7 +15,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import cropped
 from ..fastgs_blender.rendering.filters import hidden
 from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
-from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, under
+from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, touched, under
 from . import objects, parts, snapshot
 
 STROKES = {"wanted", "refused"}
@@ -57,15 +57,19 @@ def shown(obj) -> np.ndarray:
     return found
 
 
-def drawn(obj, found: np.ndarray, how: str) -> bool:
-    """Take what was drawn over [N] into the selection: 'SET', 'ADD' or 'SUBTRACT'.  Returns whether anything has changed."""
+def drawn(obj, found: np.ndarray, how: str, meant: np.ndarray | None = None) -> bool:
+    """Take what was drawn over [N] into the selection: 'SET', 'ADD' or 'SUBTRACT'.  Returns whether anything has changed.
+
+    meant  [N] what Grow to the Thing takes for the stroke; None: the same
+    """
+    meant = found if meant is None else meant
     before = tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
     if how == 'SET':
-        put(obj, selection=found, wanted=found, refused=np.zeros_like(found))
+        put(obj, selection=found, wanted=meant, refused=np.zeros_like(found))
     elif how == 'ADD':
-        put(obj, selection=bits(obj, "selection") | found, wanted=bits(obj, "wanted") | found, refused=bits(obj, "refused") & ~found)
+        put(obj, selection=bits(obj, "selection") | found, wanted=bits(obj, "wanted") | meant, refused=bits(obj, "refused") & ~meant)
     else:
-        put(obj, selection=bits(obj, "selection") & ~found, wanted=bits(obj, "wanted") & ~found, refused=bits(obj, "refused") | found)
+        put(obj, selection=bits(obj, "selection") & ~found, wanted=bits(obj, "wanted") & ~meant, refused=bits(obj, "refused") | meant)
     return before != tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
 
 
@@ -117,14 +121,23 @@ class Sight:
 
         through  however deep they lie, and not only those that are seen
         """
+        def of(instance):
+            settings = replace(instance.settings, mask="") if erased else instance.settings
+            return under(replace(instance, settings=settings).viewed(self.camera), self.camera, shape, None if through else self.surface)
+
+        return self._of(obj, of)
+
+    def touched(self, obj, shape: Shape) -> np.ndarray:
+        """Which Gaussians of an object's file make what is seen in a shape, wherever their centres are: [N] bool."""
+        return self._of(obj, lambda instance: touched(instance.viewed(self.camera), self.camera, shape))
+
+    def _of(self, obj, find) -> np.ndarray:
+        """What is found among the Gaussians of each instance of an object, as those of its file: [N] bool."""
         out = np.zeros(len(objects.load_one_model(obj, "selected")), bool)
         own = parts.rows(obj.fastgs.part) if obj.fastgs.part else slice(None)
         for item, instance in self.pairs:
             if item.name == obj.name:
-                settings = replace(instance.settings, mask="") if erased else instance.settings
-                found = under(replace(instance, settings=settings).viewed(self.camera), self.camera, shape,
-                              None if through else self.surface)
-                out[own] |= found
+                out[own] |= find(instance)
         return out
 
 

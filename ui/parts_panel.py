@@ -17,6 +17,9 @@ class FASTGS_MT_select(bpy.types.Menu):
         for kind, label, _, _ in PLAIN:
             layout.operator("fastgs.select_kind", text=label).kind = kind
         layout.separator()
+        layout.operator("fastgs.grow").to = 'THING'
+        layout.operator("fastgs.grow", text="Connected").to = 'CONNECTED'
+        layout.separator()
         for kind, label, _, _ in KINDS:
             layout.operator("fastgs.select_kind", text=label).kind = kind
 
@@ -33,7 +36,9 @@ class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
         _draw_tools(layout, SELECTING, "Select", ('RESTRICT_SELECT_OFF', 'SELECT_SET', 'NONE', 'NONE', 'NONE'),
                     ("Thing", "Box", "Lasso", "Brush", "Ball"))
         layout.prop(scene, "select_through", text="Through to the Back")
-        layout.menu("FASTGS_MT_select", text="Select")
+        row = layout.row(align=True)
+        row.menu("FASTGS_MT_select", text="Select")
+        row.operator("fastgs.grow", text="Grow", icon='ZOOM_IN')
         row = layout.row(align=True)
         row.operator("fastgs.separate", icon='MOD_EXPLODE')
         row.operator("fastgs.join_parts")

@@ -22,6 +22,7 @@ KEYS = (
     _press('A', "fastgs.select_kind", kind='ALL'),
     _press('A', "fastgs.select_kind", "alt", kind='NONE'),
     _press('I', "fastgs.select_kind", "ctrl", kind='INVERSE'),
+    _press('L', "fastgs.grow"),
     _press('P', "fastgs.separate"),
     _press('J', "fastgs.join_parts", "ctrl"),
     *(_press(key, "fastgs.erase") for key in ('X', 'DEL', 'H')),
@@ -60,6 +61,7 @@ class _Tool:
             return
         if shape != 'CLICK':
             layout.prop(context.scene.fastgs, "select_through")
+        layout.operator("fastgs.grow", icon='ZOOM_IN')
         layout.menu("FASTGS_MT_select", text="Select")
 
 

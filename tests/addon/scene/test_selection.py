@@ -145,3 +145,37 @@ def test_clean_up_proposes_and_its_amount_changes_it(fg, make_model, model_file,
     assert not obj.fastgs.mask
     bpy.ops.fastgs.clean_up(amount=1.0, select=True, floaters=False, unseen=False)
     assert np.flatnonzero(selection.bits(obj, "selection")).tolist() == [n + 6, n + 7] and not obj.fastgs.mask
+
+
+@pytest.fixture
+def two_balls(fg, make_model, model_file, add_camera, scene):
+    """Two balls of many Gaussians that touch: the first is red and rises, the second green and at rest; [N] which are the first's."""
+    rng, n = np.random.default_rng(8), 900
+    red = np.arange(n) % 3 == 0
+    place = rng.normal(size=(n, 3))
+    place *= 0.5 * rng.random((n, 1)) ** (1 / 3) / np.linalg.norm(place, axis=1, keepdims=True)
+    model = make_model(n, position=place + np.where(red[:, None], (-0.5, 0, 0), (0.5, 0, 0)), scale=np.full((n, 3), np.log(0.04)),
+                       opacity=np.full(n, 4.0), features=np.where(red[:, None], (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)), basis=fg.Polynomial(1),
+                       motion=np.where(red[:, None, None], (0, 0, 0.6), (0, 0, 0)), mu_tau=np.zeros(n), clip=fg.Clip(10, 24.0), axes="RFU")
+    add_camera(type='ORTHO', ortho_scale=4.0)
+    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    return bpy.context.object, red
+
+
+def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene):
+    """Two strokes, one of them of what does not belong to it, on one frame; then the part is the ball."""
+    (obj, red), selection, shapes = two_balls, module("scene.selection"), module("fastgs_blender.selecting.shapes")
+    assert not bpy.ops.fastgs.grow.poll()
+    sight = selection.Sight(bpy.context.evaluated_depsgraph_get(), now(scene.camera))
+    for x, how in ((24, 'SET'), (40, 'SUBTRACT')):
+        stroke = shapes.Stroke(((x, 22), (x, 26)), 2.0)
+        selection.drawn(obj, sight.under(obj, stroke, False), how, sight.touched(obj, stroke))
+    assert selection.bits(obj, "wanted")[red].any() and selection.bits(obj, "refused")[~red].any()
+    assert bpy.ops.fastgs.grow() == {'FINISHED'}
+    found = selection.bits(obj, "selection")
+    assert (found & red).sum() / (found | red).sum() > 0.9
+    assert obj.fastgs.wanted and obj.fastgs.refused  # for a further stroke
+    assert bpy.ops.fastgs.separate() == {'FINISHED'} and bpy.context.object.fastgs.gaussian_count == found.sum()
+    bpy.ops.fastgs.select_kind(kind='ALL')
+    assert bpy.ops.fastgs.grow(to='CONNECTED') == {'FINISHED'}
+    assert selection.bits(bpy.context.object, "selection").sum() == found.sum()
