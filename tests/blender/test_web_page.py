@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import base64
 import re
-import shutil
 
 import page_load
 from conftest import EXAMPLE, library_camera
@@ -19,7 +18,8 @@ def test_blender_exports_a_page(user, browser, small_model):
     """The installed extension writes it, and the browser shows on its third frame what fg.render() draws of the model in it."""
     original, name = small_model
     facts, frames = user.story("background.page", model=name, output="exported.html", frames=6), 6
-    text = shutil.copy(user.folder / "exported.html", browser.folder).read_text("utf-8")
+    text = (user.folder / "exported.html").read_text("utf-8")
+    (browser.folder / "exported.html").write_text(text, "utf-8")
     held = browser.folder / "held.safetensors"
     held.write_bytes(base64.b64decode(re.search(r'id="model-0">([^<]*)<', text)[1]))
     model = fg.load(held)
