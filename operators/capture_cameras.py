@@ -11,7 +11,7 @@ from bpy_extras.io_utils import ImportHelper
 from mathutils import Matrix
 
 from ..fastgs_blender.util.errors import FastGSError, printable
-from ..scene import model_space, objects
+from ..scene import model_space, objects, paths
 from ..scene.cameras import clips, undistorted
 from ..scene.cameras import space as camera_space
 from ..scene.cameras.backgrounds import reel_of, show_behind
@@ -69,7 +69,7 @@ class FASTGS_OT_import_capture(Stepwise, bpy.types.Operator, ImportHelper):
         """The capture and the background of each of its views; yields the progress of writing pictures."""
         from ..fastgs_blender.captures import open_capture
 
-        capture = open_capture(path.rstrip("/\\") or path, scale=self.scale or None)
+        capture = open_capture(paths.bare(path), scale=self.scale or None)
         if not capture.posed:
             raise FastGSError(f"{capture.path} does not say where its cameras are; calibrate it first (train it, or use COLMAP).")
         return capture, (yield from self._reels(capture))

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import math
+import sys
 import time
 from collections.abc import Generator
 
 import bpy
 
 from ..fastgs_blender.util.errors import FastGSError
+from ..fastgs_blender.util.screen import tell
 from .action import Action
 
 VIEW = ({'MOUSEMOVE', 'INBETWEEN_MOUSEMOVE', 'MIDDLEMOUSE', 'WHEELUPMOUSE', 'WHEELDOWNMOUSE', 'TRACKPADPAN', 'TRACKPADZOOM',
@@ -112,7 +114,7 @@ class Stepwise(Action):
             context.workspace.status_text_set(f"{text}   ({rest})" if self.in_window else text)
         if not self.in_window and time.monotonic() - self._told > REPORT_EVERY:
             self._told = time.monotonic()
-            print(f"FAST-GS: {text}", flush=True)
+            tell(f"FAST-GS: {text}", sys.stdout)
 
     def _close(self, context):
         if getattr(self, "_steps", None) is None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import sys
 import time
 from pathlib import Path
 
@@ -13,7 +14,8 @@ from ..fastgs_blender.jobs import checks
 from ..fastgs_blender.training.core import costs
 from ..fastgs_blender.training.run.files import MODEL
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import devices
+from ..fastgs_blender.util.screen import tell
+from ..scene import devices, paths
 from ..scene.background import in_background
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import alignment, folders, installation, plates, results, watch
@@ -124,7 +126,7 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
                 time.sleep(0.2)
                 if time.monotonic() - printed > REPORT_EVERY:
                     printed = time.monotonic()
-                    print(f"FAST-GS: {progress(job, state)}", flush=True)
+                    tell(f"FAST-GS: {progress(job, state)}", sys.stdout)
         except KeyboardInterrupt:
             known.ask(job, 'PAUSE')
             raise
@@ -135,7 +137,7 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
         watch.look()
         if state.kind != 'FINISHED':
             raise FastGSError(state.text)
-        print(f"FAST-GS: {job.name} {watch.summary(state)}", flush=True)
+        tell(f"FAST-GS: {job.name} {watch.summary(state)}", sys.stdout)
         if self.import_result:
             results.add_finished(context, job)
         return f"{job.name}: {watch.summary(state)}; {Path(job.out) / MODEL}"
@@ -165,7 +167,7 @@ class FASTGS_OT_train_check(Stepwise, bpy.types.Operator):
                             options={'SKIP_SAVE'} | BLEND_RELATIVE)
 
     def steps(self, context):
-        path, python = bpy.path.abspath(self.capture or context.scene.fastgs.training.capture).rstrip("/\\"), installation.python()
+        path, python = paths.bare(bpy.path.abspath(self.capture or context.scene.fastgs.training.capture)), installation.python()
         return in_background(lambda _: checks.inspect(python, path), cancel=False)
 
     def finish(self, context, found):

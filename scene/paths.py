@@ -36,7 +36,7 @@ def put(settings, path: str) -> None:
     """Let an object show the file at a path, absolute or beginning with // for the .blend's folder; "" for none."""
     import bpy
 
-    path = path.rstrip("/\\") or path
+    path = bare(path)
     before = settings.file
     if before is None or _path_of(before) != path:
         settings.file = _of(path) if path else None
@@ -68,7 +68,7 @@ def _path_of(file) -> str:
     if pattern is None:
         return path
     folder, _ = _parted(path)
-    return (folder.rstrip("/\\") or folder) if os.fsdecode(pattern) == FOLDER else folder + os.fsdecode(pattern)
+    return bare(folder) if os.fsdecode(pattern) == FOLDER else folder + os.fsdecode(pattern)
 
 
 def _first(path: str) -> tuple[str, str]:
@@ -91,6 +91,12 @@ def _first(path: str) -> tuple[str, str]:
         return path.rstrip("/\\") + "/" + first, FOLDER
     folder, pattern = _parted(path)
     return folder + first, pattern
+
+
+def bare(path: str) -> str:
+    r"""A path without / or \ at its end; the whole of a disk keeps it: on Windows, D: is another folder than D:\."""
+    short = path.rstrip("/\\")
+    return path if not short or short.endswith(":") else short
 
 
 def _parted(path: str) -> tuple[str, str]:

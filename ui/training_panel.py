@@ -9,6 +9,7 @@ import bpy
 from ..fastgs_blender.jobs import capture_check, checks
 from ..fastgs_blender.jobs.places import Place
 from ..fastgs_blender.training.core import costs
+from ..scene import paths
 from ..scene.filming import progress
 from ..scene.settings import EXTENSION
 from ..scene.training import folders, installation, plates, readiness, results, watch
@@ -29,7 +30,7 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
         views = readiness.count_of_cameras(context, settings.cameras, settings.count)
         pictures = frames * views
         filming = progress.estimate(scene, settings, pictures)
-    elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == bpy.path.abspath(settings.capture).rstrip("/\\"):
+    elif (found := checks.latest) and settings.source == 'FOLDER' and found.capture == paths.bare(bpy.path.abspath(settings.capture)):
         pixels, views, pictures = found.width * found.height, found.views, found.views * found.frames
     if not pixels:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
@@ -81,7 +82,7 @@ def draw_capture(layout, context, settings):
     col.operator("fastgs.train_check", icon='FILE_REFRESH')
     col.operator("fastgs.sync_cameras", icon='TIME')
     col.operator("fastgs.check_capture", icon='VIEWZOOM')
-    capture = bpy.path.abspath(settings.capture).rstrip("/\\")
+    capture = paths.bare(bpy.path.abspath(settings.capture))
     if (found := checks.latest) and found.capture == capture:
         size = f"{found.width} x {found.height}"
         draw_rows(layout, [("Found", f"{found.views} cameras, {found.frames} frames"), ("Pictures", size)])

@@ -27,7 +27,7 @@ def film(path: Path, width: int, height: int, fps: float) -> Iterator:
     except ImportError as error:
         raise FastGSError(f"{path}: a film needs PyAV: pip install av.") from error
     try:
-        with replacing([path]) as (part,), av.open(str(part), "w", format="mp4") as container:
+        with replacing([path]) as (part,), av.open(f"file:{part}", "w", format="mp4") as container:
             stream = _stream(av, container, Fraction(fps).limit_denominator(1001))
             stream.width, stream.height, stream.pix_fmt = width, height, "yuv420p"
             for name in ("colorspace", "color_primaries", "color_trc"):

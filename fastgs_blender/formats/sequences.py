@@ -33,6 +33,7 @@ from ..model.temporal import Always
 from ..util.errors import FastGSError, LossWarning, shown_as
 from ..util.identity import status_of
 from ..util.reading import reading
+from ..util.stated_paths import below
 from ..util.zip_files import members, opened_zip
 from . import sog, streamed_sog
 from .base import Format, Loader, usable
@@ -299,13 +300,12 @@ def _unpacked(path: Path, info: zipfile.ZipInfo, load: Loader, beside: Iterable[
     with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
         with reading(path), opened_zip(path) as archive:
             for member in (info, *beside):
-                parts = PurePosixPath(member.filename).parts
-                if ".." in parts or any(c in member.filename for c in "\\:\0"):
+                file = below(Path(folder), str(PurePosixPath(member.filename.lstrip("/"))))
+                if file is None or any(c in member.filename for c in "\\:\0"):
                     raise FastGSError(f"{path}: its part {member.filename} lies outside of it; unpack it yourself.")
                 if member.file_size > RATIO * max(member.compress_size, 1) + 2**16 or member.flag_bits & 1:
                     raise FastGSError(f"{path}: its part {member.filename} is encrypted, or far larger than what the zip file holds of it; "
                                       "unpack it yourself.")
-                file = Path(folder, *parts[parts[:1] == ("/",):])
                 file.parent.mkdir(parents=True, exist_ok=True)
                 with archive.open(member) as source, open(file, "wb") as out:
                     shutil.copyfileobj(source, out)

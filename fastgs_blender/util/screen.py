@@ -39,12 +39,14 @@ def screen(rows: Sequence[tuple[str, object]], everything: bool = False, hidden:
 def tell(text: str, stream: TextIO) -> None:
     """Print one printable() line on a terminal, cut between words where it is wider; a file or a log gets it whole.
 
-    $COLUMNS says how wide, else the terminal; words that are longer, such as paths, stay whole.
+    Letters that the stream's encoding lacks, as cp1252 on Windows does, are written as escapes.  $COLUMNS says how wide, else the
+    terminal; words that are longer, such as paths, stay whole.
     """
     line, width = printable(text), _width(stream)
     if 0 < width < len(line):
         line = textwrap.fill(line, width, subsequent_indent="  ", break_long_words=False, break_on_hyphens=False)
-    print(line, file=stream, flush=True)
+    encoding = getattr(stream, "encoding", None) or "utf-8"
+    print(line.encode(encoding, "backslashreplace").decode(encoding), file=stream, flush=True)
 
 
 def _width(stream: TextIO) -> int:

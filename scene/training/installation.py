@@ -12,7 +12,7 @@ import bpy
 from ...fastgs_blender.jobs.environment import NEEDED, USEFUL, Report, purposes, python_in
 from ...fastgs_blender.jobs.queue import Jobs
 from ...fastgs_blender.util.errors import FastGSError
-from .. import settings
+from .. import paths, settings
 
 maker = None
 """The jobs.maker.Maker that makes an environment, or made one last, in this Blender; None where there was none."""
@@ -35,7 +35,7 @@ def jobs() -> Jobs:
 
 def capture_path(path: str) -> str:
     """The path of a capture that a user chose, absolute; raises FastGSError where none is chosen or nothing is there."""
-    path = bpy.path.abspath(path).rstrip("/\\")
+    path = paths.bare(bpy.path.abspath(path))
     if not path:
         raise FastGSError("no capture is chosen; choose its folder.")
     if not Path(path).exists():
