@@ -4,6 +4,7 @@
     python tools/test_blender.py [pytest arguments]
 
 BLENDER_SUITES          the releases, default "trixie sid"
+WINDOWS_RULES           those of them in which our code may do what Windows allows, and no more (tests/shared/windows_rules.py), default ""
 ALLOW_MISSING_BLENDER   1: test those Blenders that can be set up, and pass where there is none; without it one that is left out is
                         a failure
 """
@@ -107,7 +108,8 @@ def ring(suite: str, folder: str, environment: dict[str, str]) -> subprocess.Pop
     known = OUTPUT / f"tests-{suite}"
     if not {"--lf", "--last-failed"} & set(sys.argv[1:]):
         shutil.rmtree(known, ignore_errors=True)
-    own = {"FASTGS_BLENDER_ROOT": folder, "FASTGS_BLENDER_OUTPUT": str(OUTPUT / suite)}
+    rules = str(int(suite in os.environ.get("WINDOWS_RULES", "").split()))
+    own = {"FASTGS_BLENDER_ROOT": folder, "FASTGS_BLENDER_OUTPUT": str(OUTPUT / suite), "FASTGS_WINDOWS_RULES": rules}
     return subprocess.Popen([sys.executable, "-m", "pytest", "tests/blender", "-o", f"cache_dir={known}", *sys.argv[1:]], cwd=ROOT,
                             env=environment | own, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
 

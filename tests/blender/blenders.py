@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import re
 import shutil
 import subprocess
@@ -13,6 +14,8 @@ from pathlib import Path
 from held_runs import GUARD
 
 HERE = Path(__file__).resolve().parent
+SHARED = "held_runs", "windows_rules"
+"""Modules that stories import, beside those in this folder."""
 TOOLS = HERE.parents[1] / "tools"
 COMPLAINT = re.compile(r"^(Traceback .*|\w*(Error|Exception)[: ].*|.*(Segmentation fault|SIGSEGV|SIGABRT).*)", re.MULTILINE)
 _numbers = count(1)
@@ -46,7 +49,8 @@ class User:
         log = self.folder / f"log-{number:03}-{Path(command[0]).name}.txt"
         (self.folder / self.home).mkdir(exist_ok=True)
         with log.open("w") as file:
-            line = [TOOLS / "in_root.sh", self.root, self.folder, "env", f"HOME=/mnt/{self.home}", *command]
+            rules = f"FASTGS_WINDOWS_RULES={os.environ.get('FASTGS_WINDOWS_RULES', '')}"
+            line = [TOOLS / "in_root.sh", self.root, self.folder, "env", f"HOME=/mnt/{self.home}", rules, *command]
             try:
                 code = subprocess.run(line, stdout=file, stderr=subprocess.STDOUT, timeout=limit, check=False).returncode
             except subprocess.TimeoutExpired:
@@ -80,7 +84,7 @@ class User:
         facts       the story's arguments
         Returns the story's facts.  Python errors in Blender's log fail the story, whoever makes them.
         """
-        for file in (*HERE.glob("*.py"), HERE / "window.sh", HERE.parent / "shared" / "held_runs.py"):
+        for file in (*HERE.glob("*.py"), HERE / "window.sh", *(HERE.parent / "shared" / f"{name}.py" for name in SHARED)):
             shutil.copy(file, self.folder)
         given, answer = f"{name}-arguments.json", f"{name}-answer.json"
         (self.folder / given).write_text(json.dumps(facts))

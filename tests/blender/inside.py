@@ -17,6 +17,7 @@ import bpy
 
 name, arguments, answer = sys.argv[sys.argv.index("--") + 1:]
 sys.path.append(os.path.dirname(os.path.abspath(__file__)))
+importlib.import_module("windows_rules").install()
 
 
 def end(**outcome):
