@@ -29,8 +29,9 @@ TEXT = {".py", ".wgsl", ".js", ".css", ".html", ".md", ".txt", ".toml", ".json",
 ASSETS = {"examples/fireside.safetensors"}
 NETWORK = {"socket", "ssl", "http", "urllib.request", "ftplib", "smtplib", "requests", "urllib3", "webbrowser"}
 RESERVED = {"con", "prn", "aux", "nul", *(f"{port}{number}" for port in ("com", "lpt") for number in range(1, 10))}
-
-
+HERE = {"linux": "linux-x64", "win32": "windows-x64", "darwin": "macos-arm64"}
+FOR_A_SYSTEM = re.compile(r"^platforms = .*\n|^wheels = \[\n(?:  .*\n)*\]\n", re.MULTILINE)
+"""What a manifest says of the system that its zip is for, as build_extension writes it."""
 READS_ITSELF = {
     "engine/compiling.py", "fastgs_blender/jobs/child.py", "fastgs_blender/jobs/command.py",  # programs in processes of their own
     "fastgs_blender/formats/web/page.py", "fastgs_blender/kernels/cpu/cache.py",
@@ -186,8 +187,13 @@ def beside_itself(zip_: Zip) -> list[str]:
 
 def behaves(zip_: Zip) -> list[str]:
     """In Blender: registers twice, imports and renders without the network, writes into its own folder alone, leaves nothing"""
+    # Blender enables nothing that is for another system: the code of such a zip is tried with the wheels that this Python has
     with tempfile.TemporaryDirectory(prefix="fastgs-checklist-") as folder:
-        zip_._file.extractall(Path(folder) / "user" / "extensions" / "user_default" / zip_.manifest["id"])
+        home = Path(folder) / "user" / "extensions" / "user_default" / zip_.manifest["id"]
+        zip_._file.extractall(home)
+        if HERE.get(sys.platform) not in zip_.manifest.get("platforms", [HERE.get(sys.platform)]):
+            manifest = home / "blender_manifest.toml"
+            manifest.write_text(FOR_A_SYSTEM.sub("", manifest.read_text("utf-8")), "utf-8")
         command = [sys.executable, str(Path(__file__).with_name("tried.py")), folder]
         result = subprocess.run(command, capture_output=True, text=True, check=False, cwd=folder)
         found = [line.removeprefix("NO ") for line in result.stdout.splitlines() if line.startswith("NO ")]

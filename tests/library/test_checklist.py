@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib
 import importlib.util
+import sys
 import zipfile
 from pathlib import Path
 
@@ -104,3 +105,9 @@ def register():
     found = "\n".join(checklist.behaves(checklist.Zip(path)))
     for words in ("beside.txt", "handler", "Light.fastgs", "127.0.0.1", "changed its own files"):
         assert words in found
+
+
+def test_the_code_of_a_zip_for_another_system_is_tried(checklist, spoilt):
+    other = next(platform for system, platform in checklist.HERE.items() if system != sys.platform)
+    lines = f'platforms = ["{other}"]\nwheels = [\n  "./wheels/a-1-py3-none-any.whl",\n]\n\n[permissions]'
+    assert not checklist.behaves(checklist.Zip(spoilt({"blender_manifest.toml": ("[permissions]", lines)}, ())))
