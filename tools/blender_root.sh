@@ -4,7 +4,7 @@
 # blender_root.sh --possible: only says whether this machine can make such folders.
 # blender_root.sh --tools: only installs what makes them.
 #
-# trixie has Blender 4.3, sid the newest that Debian packages.  The folder is made once (two minutes, 1.5 GB) and kept, with a
+# trixie has Blender 4.3, sid the newest that Debian packages.  The folder is made once (two minutes, up to 1.8 GB) and kept, with a
 # packed copy of it, under $FASTGS_BLENDER_ROOTS, or else fastgs-blender/roots in the user's cache; where only the packed copy is
 # there it is unpacked (ten seconds).  Packages come from the Debian mirror that this machine's apt uses.
 #
