@@ -42,6 +42,7 @@ if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .model.gaussians import Clip, GaussianModel, Raster
     from .model.joining import concatenate
     from .model.motion import Cosine, Fourier, Keyframes, Polynomial, Static
+    from .model.parts import Parts
     from .model.sequence import Sequence
     from .model.slicing import Slice, freeze, slice_model
     from .model.surroundings import Backdrop, Surroundings, Viewpoint
@@ -61,7 +62,7 @@ PLACES = {
     "captures.clocks.find": "find_offsets", "checks": "check", "checks.report": "CheckReport", "evaluation.evaluate": "evaluate",
     "evaluation.metrics": "psnr", "formats": "load open_source save", "model.appearance": "RGB SH Changing Features", "model.edits": "Edit",
     "model.gaussians": "Clip GaussianModel Raster", "model.joining": "concatenate",
-    "model.motion": "Cosine Fourier Keyframes Polynomial Static", "model.sequence": "Sequence",
+    "model.motion": "Cosine Fourier Keyframes Polynomial Static", "model.parts": "Parts", "model.sequence": "Sequence",
     "model.slicing": "Slice freeze slice_model", "model.surroundings": "Backdrop Surroundings Viewpoint",
     "model.temporal": "Always Radial Window WindowedRadial", "rendering.api": "render", "rendering.crops": "Crop",
     "rendering.exposure": "Aperture Exposure", "rendering.images": "save_image", "rendering.instances": "Instance ObjectSettings",
@@ -74,7 +75,7 @@ __version__ = VERSION
 __all__ = [
     "RGB", "SH", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Clip", "Clocks",
     "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Instance", "Keyframes", "LossWarning",
-    "ObjectSettings", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "Surroundings", "View",
+    "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static", "Surroundings", "View",
     "Viewpoint", "Window", "WindowedRadial", "bake", "check", "concatenate", "dolly", "evaluate", "find_offsets", "freeze", "load",
     "load_cameras", "look_at", "open_capture", "open_source", "orbit", "psnr", "render", "save", "save_cameras", "save_image",
     "slice_model", "through", "train", "write_clocks",

@@ -18,7 +18,7 @@ GROUPS = {
                               "train", "evaluate"),
     "Baking": ("bake", "BakeReport"),
     "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze",
-               "concatenate", "Edit"),
+               "concatenate", "Edit", "Parts"),
     "How Gaussians move": ("Static", "Fourier", "Cosine", "Polynomial", "Keyframes"),
     "How they come and go": ("Always", "Radial", "Window", "WindowedRadial"),
     "How they look": ("RGB", "SH", "Features", "Changing"),

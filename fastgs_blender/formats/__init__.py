@@ -169,7 +169,7 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
                               ".spz.")
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
             fitted, lost = writer.fit(model)
-            lost = lost + writer.lost_cameras(model)
+            lost = lost + writer.lost_cameras(model) + writer.lost_parts(model)
             with replacing(writer.files(fitted, path)) as targets:
                 writer.write(fitted, targets)
     except InterruptedError:  # an OSError, but the caller's own, from progress()

@@ -36,6 +36,7 @@ class Format:
     says_axes   whether the format, or each of its files, says which way is up
     antialiased whether it can say that the model is antialiased (Mip-Splatting)
     keeps_cameras  whether it holds the places of the capture's cameras
+    keeps_parts    whether it holds the model's parts
     """
 
     name = ""
@@ -44,6 +45,7 @@ class Format:
     says_axes = False
     antialiased = False
     keeps_cameras = False
+    keeps_parts = False
 
     def sniff(self, head: bytes, path: Path) -> bool:
         """Whether the file is of this format, by its first bytes `head` and, where these do not tell, its header."""
@@ -67,13 +69,19 @@ class Format:
 
     def losses(self, model: GaussianModel) -> list[str]:
         """What writing the model would lose, one clause each."""
-        return self.fit(model)[1] + self.lost_cameras(model)
+        return self.fit(model)[1] + self.lost_cameras(model) + self.lost_parts(model)
 
     def lost_cameras(self, model: GaussianModel) -> list[str]:
         """A clause on the capture's cameras, where the format cannot hold those that the model knows."""
         if self.keeps_cameras or not model.surroundings.cameras:
             return []
         return ["the places of the capture's cameras are left out, so that Antialias ends with them"]
+
+    def lost_parts(self, model: GaussianModel) -> list[str]:
+        """A clause on the model's parts, where the format cannot hold them."""
+        if self.keeps_parts or not model.parts.names:
+            return []
+        return [f"its parts ({', '.join(model.parts.names[:5])}{' ...' if len(model.parts) > 5 else ''}) become one"]
 
     def files(self, model: GaussianModel, path: Path) -> list[Path]:
         """All files that save() writes, companions first, `path` last."""

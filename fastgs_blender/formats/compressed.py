@@ -22,7 +22,7 @@ from ..util.threads import run
 from . import columns
 from .description import whole_number
 from .quantising import ATTRIBUTES, LARGEST, LIVES, SPREADS, Steps, restored, scales, spread
-from .rate import Loss, allotted
+from .rate import PARTS, Loss, allotted
 from .static import plausible_count
 
 SEGMENT = 1 << 16
@@ -32,8 +32,12 @@ ALLOTTING = 0.9
 """Share of the time of compressing that deciding how finely takes; the rest is packing."""
 
 
-def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]) -> tuple[dict[str, np.ndarray], dict]:
-    """Arrays of bytes by name, and the entry of the header; progress is called with 0..1, and what it raises passes through."""
+def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]
+           ) -> tuple[dict[str, np.ndarray], dict, np.ndarray]:
+    """Arrays of bytes by name, the entry of the header, and the bits [M, P] of the model's parts in the new order.
+
+    progress is called with 0..1, and what it raises passes through.
+    """
     tensors, counts, listed, steps = {}, [], [], []
     parts = allotted(model, loss, SEGMENT, lambda share: progress(ALLOTTING * share))
     for i, (codes, own) in enumerate(parts):
@@ -43,7 +47,8 @@ def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]) 
         listed.append(blocks)
         steps.append({key: value.tolist() if isinstance(value, np.ndarray) else value for key, value in asdict(own).items()})
         progress(ALLOTTING + (1 - ALLOTTING) * (i + 1) / len(parts))
-    return tensors, {"count": counts, "steps": steps, "blocks": listed}
+    bits = np.concatenate([codes[PARTS] for codes, _ in parts]) if parts else model.parts.bits
+    return tensors, {"count": counts, "steps": steps, "blocks": listed}, bits
 
 
 def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: range | None = None) -> GaussianModel:

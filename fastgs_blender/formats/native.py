@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
+from ..model.parts import Parts
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
@@ -22,6 +23,8 @@ VERSION, COMPRESSED = 1, 3
 not raise it."""
 KEY = "fast-gs"
 DECODER = ("w1", "w2")
+PARTS = "parts"
+"""Key of the parts' names in the header, and of the array [N / 8, P] uint8 of their Gaussians, eight in a byte, the first highest."""
 REQUIRED = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space")
 
 
@@ -39,7 +42,7 @@ class Native(Format):
     name = "FAST-GS safetensors"
     says_axes = True
     extensions = reads = (".safetensors",)
-    keeps_cameras = True
+    keeps_cameras = keeps_parts = True
 
     def sniff(self, head: bytes, path: Path) -> bool:
         return head[8:9] == b"{" and int.from_bytes(head[:8], "little") <= MAX_HEADER
@@ -53,7 +56,7 @@ class Native(Format):
             empty = GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, look.width)), **kinds)
             if version == COMPRESSED:
                 model = compressed.unpacked(file, about, empty)
-                return replace(model, appearance=_with_decoder(file, look))
+                return replace(model, appearance=_with_decoder(file, look), parts=_parts(file, len(model)))
             position = file.entries.get("position")
             shapes = empty.shapes(position.shape[0] if position and position.shape else 1)
             if isinstance(look, Features):
@@ -62,9 +65,10 @@ class Native(Format):
             for name in stored:
                 _check(file, name, shapes[name])
             arrays = {name: file.read(name) if name in stored else np.zeros(shape, np.float32) for name, shape in shapes.items()}
+            parts = _parts(file, len(arrays["position"]))
         if isinstance(look, Features):
             kinds["appearance"] = replace(look, **{key: arrays.pop(f"decoder.{key}") for key in DECODER})
-        return replace(empty, appearance=kinds["appearance"], **arrays)
+        return replace(empty, appearance=kinds["appearance"], parts=parts, **arrays)
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if self.loss is None:
@@ -79,12 +83,14 @@ class Native(Format):
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         about = {"version": VERSION, "generator": generator(), "model": describe(model)}
         if self.loss is None:
-            tensors = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}
+            tensors, bits = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}, model.parts.bits
         else:
-            tensors, about["compressed"] = compressed.packed(model, self.loss, self.progress or (lambda share: None))
+            tensors, about["compressed"], bits = compressed.packed(model, self.loss, self.progress or (lambda share: None))
             about["version"] = COMPRESSED
         if isinstance(model.appearance, Features):
             tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
+        if model.parts.names:
+            about["parts"], tensors[PARTS] = list(model.parts.names), np.packbits(bits, axis=0)
         write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
 
 
@@ -95,6 +101,18 @@ def _with_decoder(file: TensorFile, look):
     for key in DECODER:
         _check(file, f"decoder.{key}", getattr(look, key).shape)
     return replace(look, **{key: file.read(f"decoder.{key}") for key in DECODER})
+
+
+def _parts(file: TensorFile, count: int) -> Parts:
+    """The parts of a file's model of so many Gaussians."""
+    names = read_json(file.metadata[KEY]).get(PARTS, [])
+    if not names:
+        return Parts()
+    packed = file.read(PARTS)
+    good = isinstance(names, list) and all(isinstance(name, str) for name in names)
+    damaged_if(not good or packed.dtype != np.uint8 or packed.shape != (-(-count // 8), len(names)),
+               "its header and its array of parts do not fit together")
+    return Parts(tuple(names), np.unpackbits(packed, axis=0, count=count).astype(bool))
 
 
 def _kinds(text: str) -> tuple[dict, int, dict]:

@@ -25,6 +25,8 @@ from .sensitivity import mean_square, pictures, sensitivity, shots
 from .thinning import NEAR as REFITTED
 from .thinning import thinned, worthy
 
+PARTS = "parts"
+"""What a part of allotted() calls the bits of the model's parts, bool [n, P]."""
 NOMINAL = 32.0
 """dB of held-out views: what Spacetime Gaussians and its successors report on Neural 3D Video."""
 HELD_OUT = "held_out_psnr"
@@ -115,7 +117,9 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
     def tried(ready: Prepared, level: float) -> tuple[list, float]:
         """The parts at a level, and the mean squared error of their pictures."""
         parts = in_parts(ready, level, segment)
-        return parts, usual_square(truth, pictures(replace(model, **as_read(parts, ready.model)), judged))
+        square = usual_square(truth, pictures(replace(ready.model, **as_read(parts, ready.model)), judged))
+        bits = ready.model.parts.bits  # nothing is measured by them, but they come in the Gaussians' new order
+        return [(codes | {PARTS: bits[i * segment:(i + 1) * segment]}, steps) for i, (codes, steps) in enumerate(parts)], square
 
     numbers = sum(array[0].size for array in model.arrays.values()) * len(model)
     def plainly(level: float) -> tuple[list, float]:

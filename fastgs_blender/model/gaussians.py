@@ -14,6 +14,7 @@ from ..util.errors import FastGSError
 from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
 from .motion import Basis, Static
+from .parts import Parts
 from .surroundings import Surroundings
 from .temporal import KINDS, Always, Radial, Window, WindowedRadial
 
@@ -95,6 +96,7 @@ class GaussianModel:
     mu_tau           [N]        temporal centre: of centred bases, of the time features, of Radial
     temporal         [N, P]     parameters of `temporal_kind`
     surroundings     backdrop, cameras of the capture, a good view
+    parts            named selections of its Gaussians
 
     Optional arrays may be left out when their width is 0 (mu_tau: zeros).  Raises FastGSError where shapes disagree.
 
@@ -121,6 +123,7 @@ class GaussianModel:
     colour_space: str = "srgb"
     provenance: dict[str, str] = field(default_factory=dict)
     surroundings: Surroundings = field(default_factory=Surroundings)
+    parts: Parts = field(default_factory=Parts)
 
     def __post_init__(self) -> None:
         self._check_kinds()
@@ -132,6 +135,8 @@ class GaussianModel:
             if np.shape(value) != shape:
                 raise FastGSError(f"the model's {name} must have the shape {shape}, not {np.shape(value)}.")
             setattr(self, name, np.ascontiguousarray(numbers(value, f"the model's {name}", str(shape), np.float32)))
+        if self.parts.names and len(self.parts.bits) != n:
+            raise FastGSError(f"the model's parts are of {len(self.parts.bits)} Gaussians, and it has {n}.")
         one_of(self.axes, "the model's axes", AXES)
         one_of(self.colour_space, "the model's colour space", ("srgb", "linear"))
 
@@ -181,7 +186,7 @@ class GaussianModel:
         try:
             if isinstance(chosen, np.ndarray) and (chosen.ndim != 1 or chosen.dtype.kind not in "biu"):
                 raise IndexError
-            return replace(self, **{name: a[chosen] for name, a in self.arrays.items()})
+            return replace(self, **{name: a[chosen] for name, a in self.arrays.items()}, parts=self.parts.take(chosen))
         except (IndexError, TypeError) as error:
             raise FastGSError(f"Gaussians are chosen by a slice, by numbers from 0 to {len(self) - 1} or by a mask [{len(self)}], not by"
                               f" {shown(index)}.") from error

@@ -15,6 +15,7 @@ from ..util.errors import FastGSError
 from .appearance import RGB, SH, SH_C0, Appearance, Changing, Features
 from .gaussians import Clip, GaussianModel
 from .motion import Basis, Static
+from .parts import parts_together
 from .surroundings import together
 from .temporal import Always, Radial, Window, WindowedRadial
 
@@ -64,7 +65,8 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
     around = first.surroundings
     if len(models) > 1:  # the sphere of one model's backdrop says nothing of another's Gaussians
         around = replace(together([m.surroundings for m in models]), backdrop=None)
-    return replace(first, **{name: np.concatenate(parts) for name, parts in arrays.items()}, **kinds, surroundings=around)
+    return replace(first, **{name: np.concatenate(parts) for name, parts in arrays.items()}, **kinds, surroundings=around,
+                   parts=parts_together([(m.parts, len(m)) for m in models]))
 
 
 def _with_harmonics(model: GaussianModel, degree: int) -> GaussianModel:
@@ -104,7 +106,8 @@ def join(segments: list[Segment], clip: Clip) -> GaussianModel:
     parts = [_in_whole_time(s, i, segments, moving, turning) for i, s in enumerate(segments)]
     arrays = {name: np.concatenate([part[name] for part in parts]) for name in parts[0]}
     return replace(first, **arrays, basis=moving, rotation_basis=turning, temporal_kind=WindowedRadial(), clip=clip,
-                   surroundings=together([s.model.surroundings for s in segments]))
+                   surroundings=together([s.model.surroundings for s in segments]),
+                   parts=parts_together([(s.model.parts, len(s.model)) for s in segments]))
 
 
 def _same(first: GaussianModel, other: GaussianModel) -> None:

@@ -111,5 +111,5 @@ def still(model: GaussianModel, s: Slice) -> GaussianModel:
         model, position=s.position, rotation=s.rotation, scale=np.log(s.scale), opacity=np.log(odds / (1 - odds)),
         features=s.features, appearance=momentary(model.appearance), motion=np.zeros((count, 0, 3)), mu_tau=mu_tau,
         rotation_motion=np.zeros((count, 0, 4)), temporal=np.zeros((count, 0)), basis=Static(), rotation_basis=Static(),
-        temporal_kind=Always(), clip=replace(model.clip, frame_count=1),
+        temporal_kind=Always(), clip=replace(model.clip, frame_count=1), parts=model.parts.take(s.index),
     )

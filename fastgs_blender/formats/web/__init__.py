@@ -49,7 +49,7 @@ class WebPage(Format):
 
     name = "a web page"
     extensions = (".html",)
-    keeps_cameras = True
+    keeps_cameras = keeps_parts = True
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         return Native(self.loss).fit(model)
