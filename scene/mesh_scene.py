@@ -18,8 +18,8 @@ OWN = ("engine", "film_transparent", "use_compositing", "use_sequencer", "filepa
 
 
 def light_group(i: int) -> str:
-    """The light group of the i-th lamp whose light the splats take away."""
-    return f"FAST-GS Shadow {i + 1}"
+    """The light group of the i-th lamp whose light the splats take away; short, for files of Blender 4."""
+    return f"FGS{i + 1}"
 
 
 def is_one(scene) -> bool:

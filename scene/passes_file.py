@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import re
 
+import bpy
+
 from . import joins
 
 NAME = "FAST-GS Passes"
@@ -14,6 +16,10 @@ MADE = "fastgs_passes"
 """Custom property of the node."""
 TYPES = {'VALUE': 'FLOAT', 'VECTOR': 'VECTOR', 'RGBA': 'RGBA'}
 """Type of an input of the node for that of a socket, in Blender 5."""
+MESHES, JOINED = ("Meshes", "Joined") if bpy.app.version >= (5, 0, 0) else ("Mesh", "Join")
+"""What is added to the names of layers."""
+LONGEST = 29, 14
+"""Characters that Blender 4 keeps of a name in the file, and those of them that are the pass's."""
 
 
 def follow(scene) -> None:
@@ -42,12 +48,20 @@ def sockets(scene) -> dict:
         layer = (node.layer or shown.view_layers[0].name) if shown == scene else f"{shown.name} {node.layer}"
         join = joins.join_of(node)
         if join is not None and len(shown_here) > 1:
-            found.setdefault(f"{layer} Joined.Combined", join.outputs[0])
-        for name, source in ((layer, node), (f"{layer} Meshes", join and joins.meshes_of(join))):
+            found.setdefault(f"{layer} {JOINED}.Combined", join.outputs[0])
+        for name, source in ((layer, node), (f"{layer} {MESHES}", join and joins.meshes_of(join))):
             for socket in source.outputs if source else ():
                 if socket.enabled and socket.name != "Alpha" and socket.type in TYPES:
                     found.setdefault(f"{name}.{'Combined' if socket.name == 'Image' else socket.name}", socket)
-    return found
+    return found if bpy.app.version >= (5, 0, 0) else dict(zip(fitted(found), found.values()))
+
+
+def fitted(names) -> list[str]:
+    """The names of layers and passes as Blender 4 can hold them: longer layers are cut and numbered, so that none is another's."""
+    layers, room = {}, LONGEST[0] - LONGEST[1] - 1
+    for layer in dict.fromkeys(name.rpartition(".")[0] for name in names):
+        layers[layer] = layer if len(layer) <= room else f"{layer[:room - 3]}~{len(layers)}"
+    return [f"{layers[layer]}.{last[:LONGEST[1]]}" for layer, _, last in (name.rpartition(".") for name in names)]
 
 
 def _fed(socket):

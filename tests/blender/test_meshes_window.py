@@ -19,4 +19,5 @@ def test_a_mesh_that_is_added_later_is_in_the_picture(user, small_model, engine)
     assert facts["scenes"] == 1 and facts["shaded"] == ["Sun"]
     with OpenEXR.File(str(next(user.folder.glob(f"with-meshes-{engine.lower()}-passes_*.exr"))), separate_channels=True) as file:
         found = {name if name.count(".") > 1 else f"{part.header['name']}.{name}" for part in file.parts for name in part.channels}
-    assert {"Composite.Combined.R", "ViewLayer.Depth.V", "ViewLayer.Splat Shadow.V", "ViewLayer Meshes.Normal.X"} <= found
+    assert {"Composite.Combined.R", "ViewLayer.Depth.V", "ViewLayer.Splat Shadow.V"} <= found
+    assert {"ViewLayer Meshes.Normal.X", "ViewLayer Mesh.Normal.X"} & found

@@ -328,6 +328,13 @@ def test_the_users_nodes_stay(scene, screen, add, add_camera, compositor, choose
     assert {node.name for node in tree.nodes} == before and blur.inputs["Image"].links[0].from_node == compositor.layers
 
 
+def test_names_of_blender_4_are_short_and_each_its_own(module):
+    layers = ["ViewLayer", "ViewLayer Mesh", "The long road home", "The long road away"]
+    names = [f"{layer}.{name}" for layer in layers for name in ("Depth", "CryptoObject00", "CryptoObject01")]
+    found = module("scene.passes_file").fitted(names)
+    assert len(set(found)) == len(names) and max(map(len, found)) <= 29 and found[:6] == names[:6]
+
+
 def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp_path):
     """The picture, the splats' passes and those of the meshes, with their names for Cryptomatte, beside the scene's own picture."""
     import OpenEXR
