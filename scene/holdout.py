@@ -60,10 +60,11 @@ def lets_light_through(obj) -> bool:
                for name, opaque in (("Alpha", 1.0), ("Transmission Weight", 0.0)) for socket in [node.inputs[name]])
 
 
-def triangles(depsgraph, wanted=lambda obj, maker: True) -> np.ndarray | None:
+def triangles(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_camera") -> np.ndarray | None:
     """The triangles [F, 3, 3] float32 of the scene's surfaces as the depsgraph has evaluated them, instances included; None without any.
 
     wanted(obj, maker) is asked about each object that has a surface; maker makes the instance, or is the object itself.
+    ray  the rays that must see it: the property of Ray Visibility
     """
     aside, local, found = helpers(depsgraph.scene), {}, []
     for instance in depsgraph.object_instances:
@@ -73,9 +74,9 @@ def triangles(depsgraph, wanted=lambda obj, maker: True) -> np.ndarray | None:
             continue
         if obj.hide_render or maker.hide_render:  # what a viewport shows and no render
             continue
-        if maker.original.indirect_only_get(view_layer=depsgraph.view_layer):
+        if ray == "visible_camera" and maker.original.indirect_only_get(view_layer=depsgraph.view_layer):
             continue
-        if not (obj.visible_camera and maker.visible_camera and wanted(obj, maker)):
+        if not (getattr(obj, ray) and getattr(maker, ray) and wanted(obj, maker)):
             continue
         matrix = np.array(instance.matrix_world, np.float64)
         key = obj.data.as_pointer()

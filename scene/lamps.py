@@ -29,8 +29,13 @@ def scene_light(depsgraph, size: int = 1024) -> SceneLight | None:
     radiance, _ = world.surface(scene, depsgraph.view_layer)
     if any(radiance):
         found.append((dome(from_working @ radiance, max(scene.fastgs.shadow_samples, 16)), None))
-    meshes = holdout.triangles(depsgraph, lambda obj: obj.visible_shadow and not obj.is_shadow_catcher)
+    meshes = holdout.triangles(depsgraph, _casts_shadows, "visible_shadow")
     return SceneLight(tuple(found), meshes, scene.fastgs.shadow_bias, size)
+
+
+def _casts_shadows(obj, maker) -> bool:
+    """Whether an object's surface throws shadows on splats: what catches them, or lets light through, does not."""
+    return not (obj.is_shadow_catcher or maker.is_shadow_catcher or holdout.lets_light_through(obj.original))
 
 
 def takes_light(obj) -> bool:

@@ -61,7 +61,7 @@ def shot(scene, add, bake, add_camera, render):
         key(body, "rotation_euler", [(0.05 * f, 0.0, 0.2 * f) for f in range(12)])
         bake(body, floor, count=count)
         splats = bpy.context.object
-        box = add("cube", size=0.4, location=(0.5, -0.5, 1.3))
+        box = add("cube", size=0.4, location=(0.9, -0.85, 1.0))
         scene.frame_set(4)
         scene.view_settings.view_transform = 'Raw'
         scene.render.film_transparent = True
@@ -90,8 +90,12 @@ def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, 
     lamp('SUN', (2, -1, 3), energy=2.0, angle=0.05)
     lamp('AREA', (-1.5, -1.5, 2.5), energy=60, size=0.6)
     _, lit, cycles = shot()
-    assert psnr(lit, cycles) > 28, psnr(lit, cycles)
+    assert psnr(lit, cycles) > 29
     assert np.array_equal(lit, picture(render()))
+    scene.objects["Cube"].visible_shadow = False
+    bright = picture(render())
+    shadow = (bright[..., :3] - lit[..., :3]).max(-1) > 0.05
+    assert 100 < np.count_nonzero(shadow) < 3000 and np.allclose(lit[shadow], cycles[shadow], atol=0.1)  # the box's shadow is where it was
 
 
 def test_points_spots_and_the_world(scene, shot, lamp):
@@ -102,4 +106,4 @@ def test_points_spots_and_the_world(scene, shot, lamp):
         scene.world.use_nodes = True
     scene.world.node_tree.nodes["Background"].inputs["Color"].default_value = 0.1, 0.12, 0.2, 1
     _, lit, cycles = shot()
-    assert psnr(lit, cycles) > 28, psnr(lit, cycles)
+    assert psnr(lit, cycles) > 32
