@@ -95,7 +95,8 @@ def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, 
     scene.objects["Cube"].visible_shadow = False
     bright = picture(render())
     shadow = (bright[..., :3] - lit[..., :3]).max(-1) > 0.05
-    assert 100 < np.count_nonzero(shadow) < 3000 and np.allclose(lit[shadow], cycles[shadow], atol=0.1)  # the box's shadow is where it was
+    assert 100 < np.count_nonzero(shadow) < 3000  # the box's shadow, which lies where Cycles' does
+    assert np.abs(lit - cycles)[shadow].mean() < 0.03 < np.abs(bright - cycles)[shadow].mean()
 
 
 def test_points_spots_and_the_world(scene, shot, lamp):
