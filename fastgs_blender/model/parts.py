@@ -71,5 +71,7 @@ class Parts:
 def parts_together(all_parts: list[tuple[Parts, int]]) -> Parts:
     """The parts of several models, one after another, of so many Gaussians each; those of one name become one."""
     names = tuple(dict.fromkeys(name for parts, _ in all_parts for name in parts.names))
+    if not names:
+        return Parts()
     bits = [np.stack([parts[name] if name in parts.names else np.zeros(count, bool) for name in names], 1) for parts, count in all_parts]
-    return Parts(names, np.concatenate(bits)) if names else Parts()
+    return Parts(names, np.concatenate(bits))

@@ -46,6 +46,8 @@ def test_parts_of_several_models(model):
     both = fg.concatenate([model, other, replace(model, parts=fg.Parts())])
     assert both.parts.names == ("Ball", "Höhe", "Hat")
     np.testing.assert_array_equal(both.parts["Ball"], np.concatenate([model.parts["Ball"], np.ones(203, bool), np.zeros(203, bool)]))
+    plain = replace(model, parts=fg.Parts())
+    assert len(fg.concatenate([plain, plain])) == 406 and not fg.concatenate([plain, plain]).parts.names
 
 
 def test_compressed_files_keep_parts(model, tmp_path):
