@@ -18,7 +18,7 @@ import sys
 from functools import wraps
 from pathlib import Path
 
-OURS = re.compile(r"[/\\](fastgs_blender|scene|engine|operators|ui)[/\\](?!.*[/\\]tests[/\\])")
+OURS = re.compile(r"^(?!.*[/\\]tests[/\\]).*[/\\](fastgs_blender|scene|engine|operators|ui)[/\\]")
 FORBIDDEN = re.compile(r'[<>:"|?*]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
 CREATE = os.O_CREAT
 ON = os.environ.get("FASTGS_WINDOWS_RULES") == "1"

@@ -120,7 +120,7 @@ def test_what_works_on_models_alone_says_so(module, fg, scene, sequence, tmp_pat
     with pytest.raises(fg.FastGSError, match="fastgs convert"):
         module("scene.cameras.tracking").region_track(scene, sequence, 1.0, np.array([1]), 0)
     with pytest.raises(fg.FastGSError, match="fastgs convert"):
-        module("scene.crops").write_cropped(sequence, bpy.context.evaluated_depsgraph_get(), str(tmp_path / "left.safetensors"))
+        module("scene.selection").write_left(sequence, bpy.context.evaluated_depsgraph_get(), str(tmp_path / "left.safetensors"))
 
 
 def test_the_panel_offers_sub_frames_to_sequences_only(sequence, module, make_model, model_file):

@@ -78,7 +78,8 @@ KEPT = {
         with_other("cube", lambda: ops.object.datalayout_transfer(data_type='VGROUP_WEIGHTS')),
     **{f"Link/Transfer Data > {what} to Emitter > {state.title()}": with_other("cube", lambda name=name, state=state: getattr(
         ops.object, name)(link_state=state)) for state in ('INCLUDE', 'EXCLUDE') for what, name in (
-        ("Link Receivers", "light_linking_receivers_link"), ("Link Blockers", "light_linking_blockers_link"))},
+        ("Link Receivers", "light_linking_receivers_link"), ("Link Receiver Objects", "light_linking_receivers_link"),
+        ("Link Blockers", "light_linking_blockers_link"))},
 }
 MOVED["Constraints > Copy Constraints to Selected Objects"] = with_other("cube", constraints_copied)
 TOLD = {
@@ -192,8 +193,26 @@ def test_actions_are_replaced(splats, where, scene):
     assert splats.animation_data.action == other
     in_view(lambda: ops.anim.replace_action_new(old_session_uid=other.session_uid))()
     assert splats.animation_data.action not in (used, other)
+    if "replace_action_duplicate" in dir(ops.anim):  # Blender 5.3
+        now = splats.animation_data.action
+        in_view(lambda: ops.anim.replace_action_duplicate(old_session_uid=now.session_uid))()
+        assert splats.animation_data.action not in (None, now)
     bpy.context.view_layer.update()
     assert len(where()) == 1 and len(splats.data.vertices) == 204
+
+
+def test_turning_otherwise_turns_no_splats(splats, where):
+    """Blender 5.3: rotations are kept in other numbers."""
+    if "rotation_mode_convert" not in dir(ops.anim):
+        pytest.skip("this Blender has no such operator")
+    splats.rotation_euler = 0.3, -0.4, 0.5
+    bpy.context.view_layer.update()
+    before = where()["model"]
+    select(splats)
+    in_view(lambda: ops.anim.rotation_mode_convert(mode='QUATERNION'))()
+    bpy.context.view_layer.update()
+    assert splats.rotation_mode == 'QUATERNION' and len(splats.data.vertices) == 204
+    np.testing.assert_allclose(where()["model"], before, atol=2e-5)
 
 
 def test_a_rigid_body_falls_and_is_baked(splats, where, scene):
