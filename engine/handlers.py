@@ -4,6 +4,7 @@ import bpy
 from bpy.app.handlers import persistent
 
 from ..scene import composite, notices, objects, point_edits, proxies, updates
+from ..scene.meshes import moving_mesh
 from ..scene.splats import bodies, feeding, guard, moving, native
 from . import compiling
 
@@ -39,10 +40,13 @@ HANDLERS = (
     (bpy.app.handlers.load_post, proxies.update),
     (bpy.app.handlers.frame_change_pre, bodies.rest),
     (bpy.app.handlers.frame_change_pre, feeding.before),
+    (bpy.app.handlers.frame_change_pre, moving_mesh.before),
     (bpy.app.handlers.frame_change_post, feeding.after),
+    (bpy.app.handlers.frame_change_post, moving_mesh.after),
     (bpy.app.handlers.frame_change_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, bodies.rest),
     (bpy.app.handlers.depsgraph_update_post, feeding.after),
+    (bpy.app.handlers.depsgraph_update_post, moving_mesh.after),
     (bpy.app.handlers.depsgraph_update_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
     (bpy.app.handlers.depsgraph_update_post, composite.changed),

@@ -23,9 +23,10 @@ def with_catchers(scene) -> bool:
 
 
 def helpers(scene) -> set[str]:
-    """Names of the objects whose surfaces are no part of the picture beside the splats: shapes that crop these, and native copies."""
+    """Names of the objects whose surfaces are no part of the picture beside the splats: shapes that crop these, native copies, and meshes
+    that were made of them."""
     shapes = {item.object.name for obj in scene.objects if objects.is_splat(obj) for item in obj.fastgs.crops if item.object is not None}
-    return shapes | {obj.name for obj in scene.objects if obj.fastgs.copy_of is not None}
+    return shapes | {obj.name for obj in scene.objects if (obj.fastgs.copy_of or obj.fastgs.surface_of) is not None}
 
 
 def is_held_out(obj, view_layer) -> bool:

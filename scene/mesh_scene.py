@@ -66,6 +66,8 @@ def remove(scene) -> None:
 def hide(depsgraph) -> None:
     """Leave out of an evaluated scene of meshes what is no mesh beside the splats: these, shapes that crop them, copies that show them.
 
+    Meshes that were made of splats are left out of the camera's view alone, unless they are shadow catchers.
+
     It writes to the evaluated objects alone.  The lamps whose light splats take away get their light groups in the same way.
     """
     scene = depsgraph.scene.fastgs.splats_scene.original
@@ -74,7 +76,8 @@ def hide(depsgraph) -> None:
         if objects.is_splat(obj) or (obj.name in helpers and (obj.fastgs.copy_of is None or obj.visible_camera)):
             evaluated = obj.evaluated_get(depsgraph)
             if evaluated.is_evaluated:
-                for ray in RAYS:
+                surface = obj.fastgs.surface_of is not None  # which is seen in mirrors, shines, and may catch shadows
+                for ray in ("camera",) * (not obj.is_shadow_catcher) if surface else RAYS:
                     setattr(evaluated, f"visible_{ray}", False)
     for i, lamp in enumerate(shadows.lamps(scene)):
         evaluated = lamp.evaluated_get(depsgraph)

@@ -153,6 +153,8 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
 
     copy_of: PointerProperty(
         name="Copy Of", description="The splat object whose current frame this object holds, for other engines", type=bpy.types.Object)
+    surface_of: PointerProperty(
+        name="Surface Of", description="The splat object whose surface this mesh is, and with which it moves", type=bpy.types.Object)
     hides_splats: BoolProperty(
         name="Hides Splats", description="Let this object hide the splats behind it where the scene's Meshes Hide Splats is on. "
         "What lets light through, such as glass, never hides them", default=True, override=_OWN, update=updates.viewports)

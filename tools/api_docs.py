@@ -16,7 +16,7 @@ GROUPS = {
     "Cameras": ("Camera", "View", "look_at", "load_cameras", "save_cameras", "orbit", "dolly", "through"),
     "Captures and training": ("open_capture", "Capture", "check", "CheckReport", "find_offsets", "Clocks", "write_clocks",
                               "train", "evaluate"),
-    "Baking": ("bake", "BakeReport"),
+    "Baking, and meshes of models": ("bake", "BakeReport", "make_mesh", "MovingMesh"),
     "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze",
                "concatenate", "Edit", "Parts"),
     "How Gaussians move": ("Static", "Fourier", "Cosine", "Polynomial", "Keyframes"),

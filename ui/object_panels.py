@@ -237,6 +237,7 @@ class FASTGS_PT_object_engines(_Part, bpy.types.Panel):
     bl_label = "Other Render Engines"
 
     def draw(self, context):
+        self.layout.operator("fastgs.make_mesh", icon='MESH_DATA')
         self.layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
 
 

@@ -231,4 +231,5 @@ class FASTGS_PT_other_engine(bpy.types.Panel):
         text = "This engine shows a few solid points in place of splats; FAST-GS renders the splats, and a native copy holds them all."
         draw_trouble(layout, context, text)
         draw_other_engine(layout, context)
+        layout.operator("fastgs.make_mesh", icon='MESH_DATA')
         layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')

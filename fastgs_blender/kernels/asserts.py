@@ -110,6 +110,16 @@ def nearest(points, turns) -> None:
     shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
+def carve(depths, slopes, poses, low) -> None:
+    """SurfaceBackend.carve()."""
+    shapes((depths, "v h w"), (slopes, "v h w"), (poses, "v 3 4"), (low, "3"))
+
+
+def around(points, normals, places, axes, weights) -> None:
+    """SurfaceBackend.around()."""
+    shapes((points, "p 3"), (normals, "p 3"), (places, "n 3"), (axes, "n 3"), (weights, "n"))
+
+
 def project_points(xyz) -> None:
     """TrainingBackend.project_points()."""
     shapes((xyz, "p 3"))

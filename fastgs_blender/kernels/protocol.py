@@ -284,3 +284,29 @@ class TrainingBackend(PictureBackend, Protocol):
 
     def measure_stages(self, instance: ViewedInstance, camera: Camera, repeat: int) -> tuple[dict[str, float], int]:
         """Milliseconds of each stage of draw() by name, the median of `repeat` runs, and the number of splats that are drawn."""
+
+
+class SurfaceBackend(Protocol):
+    """The operations that make_mesh() needs; "cpu" has them.  NumPy arrays in and out."""
+
+    def carve(self, depths: np.ndarray, slopes: np.ndarray, poses: np.ndarray, low: np.ndarray, voxel: float, shape: tuple[int, int, int],
+              reach: float, agree: int, progress: Callable[[float], Any] | None = None) -> np.ndarray:
+        """Distances [X, Y, Z] float32 of a volume's points from what V orthographic views see, within -reach..reach; positive before it.
+
+        depths, slopes  [V, h, w]: the depth of each pixel (inf: nothing there; NaN: unknown), and what distances along z are multiplied by
+                        to be distances from the surface
+        poses           [V, 3, 4] float64: a point of the world to pixels and depth (x, y, z)
+        low, voxel      the first point [3], and the distance of neighbours
+        agree           so many views must see a point before the surface: its distance is the least of the `agree` largest
+        """
+
+    def around(self, points: np.ndarray, normals: np.ndarray, places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float,
+               count: int) -> tuple[np.ndarray, np.ndarray]:
+        """The Gaussians that weigh most at points of a surface: (numbers [P, count], -1 where there are fewer; their weights there).
+
+        points, normals  [P, 3] float64
+        places, axes     [N, 3] float64: centres, and shortest axes
+        weights          [N] float64, at a point multiplied by exp(-4 d^2 / reach^2) of the distance d and by 0.05 + cos^2 of the angle
+                         between normal and axis
+        reach            no Gaussian farther away counts
+        """

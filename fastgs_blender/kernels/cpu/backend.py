@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import initial, nearest, resample, steps, training, visible
+from . import carving, initial, nearest, resample, steps, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -88,6 +88,7 @@ class CPU:
     mcmc_noise = staticmethod(steps.mcmc_noise)
     adam = staticmethod(steps.adam)
     nearest = staticmethod(nearest.nearest)
+    carve, around = staticmethod(carving.carve), staticmethod(carving.around)
     project_points = staticmethod(initial.project_points)
     sweep = staticmethod(initial.sweep)
     resample = staticmethod(resample.resample)

@@ -89,7 +89,7 @@ def test_a_still_has_a_native_copy_and_no_time(panels, make_model, model_file):
     bpy.ops.import_scene.fastgs(filepath=model_file(make_model(20), "still.safetensors"))
     here = SimpleNamespace(object=bpy.context.object)
     assert panels["FASTGS_PT_object_engines"].poll(here) and not panels["FASTGS_PT_object_sound"].poll(here)
-    assert texts(drawn(panels["FASTGS_PT_object_engines"]), "operator") == ["fastgs.native_copy"]
+    assert texts(drawn(panels["FASTGS_PT_object_engines"]), "operator") == ["fastgs.make_mesh", "fastgs.native_copy"]
 
 
 def test_the_size_stands_beside_the_scale(panels, module, scene, fg, model_file):

@@ -1,0 +1,107 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Depth pictures of a model at one moment from all around its subject, from which a surface is made."""
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..model.filmed_from import directions
+from ..model.framing import in_ball, inside_backdrop, is_subject, looked_at
+from ..model.gaussians import GaussianModel
+from ..model.slicing import slice_model
+from ..rendering.api import render
+from ..util.errors import FastGSError
+
+VIEWS = 48
+"""Directions from which the subject is looked at."""
+FINER = 1.5
+"""Pixels to each voxel's edge."""
+SOLID = 0.5
+"""Opacity of a pixel from which something is there."""
+FAINT = 0.1
+"""Opacity below which nothing is there; the depth of pixels between the two is unknown,"""
+MIXED = 3.0
+"""and so is that of pixels whose mean depth and median depth differ by more pixels: two surfaces show in them."""
+STEEP = 0.15
+"""Cosine between a pixel's ray and the surface's normal below which its depth is not used."""
+
+
+@dataclass(frozen=True, eq=False)
+class View:
+    """One picture: its orthographic camera, depth [h, w] (inf: nothing; NaN: unknown), the cosine between the ray and the surface's normal
+    [h, w], and colours [h, w, 3] in the model's colour space."""
+
+    camera: Camera
+    depth: np.ndarray
+    slope: np.ndarray
+    rgb: np.ndarray
+
+    @property
+    def pose(self) -> np.ndarray:
+        """[3, 4] from the world to pixels and depth."""
+        c = self.camera
+        return np.array([[c.fx, 0, 0, c.cx], [0, c.fy, 0, c.cy], [0, 0, 1, 0]]) @ c.world_to_camera
+
+
+@dataclass(frozen=True, eq=False)
+class Subject:
+    """The Gaussians of which a surface is made, at which moment, and the box [3] low, [3] high that holds them."""
+
+    model: GaussianModel
+    t: float
+    low: np.ndarray
+    high: np.ndarray
+
+    @property
+    def size(self) -> float:
+        """The longest side of the box."""
+        return float((self.high - self.low).max())
+
+    def camera(self, direction: np.ndarray, pixels: int) -> Camera:
+        """An orthographic camera of pixels x pixels that looks at the whole box from a direction, a unit vector [3]."""
+        right = np.cross(np.eye(3)[np.abs(direction).argmin()], -direction)
+        right /= np.linalg.norm(right)
+        pose, width = np.eye(4), float(np.linalg.norm(self.high - self.low))
+        pose[:3, :3] = right, np.cross(-direction, right), -direction
+        pose[:3, 3] = -pose[:3, :3] @ ((self.low + self.high) / 2 + width * direction)
+        return Camera(pixels, pixels, pixels / width, pixels / width, pixels / 2, pixels / 2, pose, orthographic=True)
+
+
+def subject_of(model: GaussianModel, t: float) -> Subject:
+    """What of a model becomes a surface: what its cameras look at, without backdrop and strays.  Raises FastGSError where nothing is."""
+    now = slice_model(model, t)
+    seen = now.opacity >= FAINT
+    place, index = now.position[seen], now.index[seen]
+    wanted = np.isin(index, inside_backdrop(model)) & in_ball(place, looked_at(model.surroundings.cameras)) & is_subject(place)
+    if not wanted.any():
+        raise FastGSError("nothing is there of which a surface could be made; choose another frame.")
+    spread = 2 * np.exp(model.scale[index].max(1))[wanted, None]
+    low, high = np.percentile(place[wanted] - spread, 0.2, axis=0), np.percentile(place[wanted] + spread, 99.8, axis=0)
+    return Subject(model.take(np.sort(index[wanted])), t, low, high)
+
+
+def look(subject: Subject, detail: int, progress: Callable[[float], Any]) -> list[View]:
+    """The subject from VIEWS directions; detail: voxels along the box's longest side."""
+    pixels = int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER))
+    found = []
+    for direction in directions(VIEWS):
+        found.append(_view(subject, subject.camera(direction, pixels)))
+        progress(len(found) / VIEWS)
+    return found
+
+
+def _view(subject: Subject, camera: Camera) -> View:
+    """What a camera sees of the subject."""
+    passes = render(subject.model, camera, subject.t, passes=["rgb", "alpha", "depth", "median_depth"])
+    depth, alpha = passes["depth"].astype(np.float64), passes["alpha"]
+    pixel = 1 / camera.fx
+    with np.errstate(invalid="ignore"):
+        mixed = ~(np.abs(depth - passes["median_depth"]) <= MIXED * pixel)
+        depth = np.where(alpha >= SOLID, np.where(mixed, np.nan, depth), np.where(alpha > FAINT, np.nan, np.inf))
+        down, right = np.gradient(np.where(np.isinf(depth), np.nan, depth))
+        slope = pixel / np.sqrt(pixel**2 + down**2 + right**2)
+    depth[np.isfinite(depth) & ~(slope > STEEP)] = np.nan
+    slope = np.where(np.isinf(depth), 1, np.nan_to_num(slope))
+    return View(camera, depth.astype(np.float32), slope.astype(np.float32), passes["rgb"] / np.maximum(alpha, 1e-6)[..., None])
