@@ -2,7 +2,6 @@
 """fastgs info, convert and bench; and what holds for every subcommand."""
 from __future__ import annotations
 
-import io
 import json
 import os
 import re
@@ -21,7 +20,6 @@ from fastgs_blender.commands import COMMANDS, bench
 from fastgs_blender.kernels.cpu import jit
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.run.plan import Plan, Source
-from fastgs_blender.util.screen import tell
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -88,21 +86,6 @@ def test_a_line_end_in_a_name_begins_no_line(run, tmp_path, monkeypatch, command
     monkeypatch.chdir(tmp_path)
     code, _, errors = run(*(part.format("a\nfastgs: all is well\r") for part in command))
     assert code == 2 and not [line for line in errors.splitlines() if line.startswith("fastgs: all is well")]
-
-
-@pytest.mark.parametrize("path", [r"C:\films\a", "D:/films/a", r"\\server\films\a", "E:"])
-def test_a_drive_is_no_part_of_a_name(run, tmp_path, monkeypatch, path):
-    """The sentence names the path as it was given: nothing is cut off at its colon."""
-    monkeypatch.chdir(tmp_path)
-    for command in ("info", path), ("convert", path, "a.ply"), ("check", path), ("train", path, "--out", "a"):
-        code, _, errors = run(*command)
-        assert code == 2 and f"{path}: " in errors
-
-
-def test_what_a_console_lacks_is_told_in_escapes():
-    written = io.TextIOWrapper(io.BytesIO(), encoding="cp1252", errors="strict")
-    tell("a café → done", written)
-    assert written.buffer.getvalue().decode("cp1252").rstrip() == r"a café \u2192 done"
 
 
 def test_what_commands_print_goes_through_one_function():
