@@ -33,9 +33,13 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
     capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
     report = progress or (lambda *_: None)
 
+    reached = 0.0
+
     def at(stage: str, share: float) -> None:
+        nonlocal reached
         low, high = WEIGHTS[stage]
-        report(stage, low + (high - low) * min(share, 1.0))
+        reached = max(reached, low + (high - low) * min(share, 1.0))  # clocks may be compared in two ways, one after the other
+        report(stage, reached)
 
     looked = Looked(capture, at)
     look(looked)

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks exposure: differences of brightness and white balance between cameras, dark and burnt-out pictures, changes of light over time."""
+from contextlib import suppress
+
 import numpy as np
 
-from ..util import groups
+from ..captures.evidence import differs
+from ..captures.exposures import gains_of
 from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
@@ -17,8 +20,6 @@ CHANGES, COMMON = 0.06, 0.6
 """Share by which a camera's still parts may change over time, and of the cameras that must change for the light to be the reason."""
 REACH = 4
 """Pixels around a feature whose mean colour is compared."""
-LEAST = 12
-"""Features in common that a camera's brightness is told from."""
 GAMMA = 2.2
 
 
@@ -27,62 +28,44 @@ def run(looked: Looked) -> Section:
     section = Section("Exposure", "How bright each camera is against the others, by the colours of features that they see in common; where "
                       "too few are, by the means of whole pictures.")
     gains, whole = brightness(looked)
-    even = {view: float(np.exp(np.mean(gain))) for view, gain in gains.items()}
+    even = {view: float(np.exp(np.mean(gain[0]))) for view, gain in gains.items()}
     _uneven(section, even, gains, whole)
     _dark(section, looked)
     _changing(section, looked)
     told = {view: "poor" for finding in section.findings for view in finding.views}
     section.pictures.insert(0, drawing.bars("Brightness of each camera; 1 is the median of all.", even, "", told, (1.0, "1"), "x {:.2f}"))
-    section.columns = {"Brightness": {view: f"x {value:.2f}" for view, value in even.items()}}
+    section.columns = {"Brightness": {view: f"x {value:.2f}" + (" (unsure)" if view in whole else f" ± {gains[view][1].mean():.2f}")
+                                      for view, value in even.items()}}
     section.measures |= {"brightness": {view: round(value, 4) for view, value in even.items()}, "by_whole_pictures": sorted(whole),
-                         "channels": {view: [round(float(v), 4) for v in np.exp(gain)] for view, gain in gains.items()}}
+                         "channels": {view: [round(float(v), 4) for v in np.exp(gain[0])] for view, gain in gains.items()},
+                         "uncertainty": {view: round(float(gain[1].mean()), 4) for view, gain in gains.items() if view not in whole}}
     return section
 
 
 def brightness(looked: Looked) -> tuple[dict[str, np.ndarray], set[str]]:
-    """Logarithm of each camera's channels [3] against the median camera, and the cameras that were judged by whole pictures."""
+    """Logarithm of each camera's channels against the median camera, and its standard deviation [2, 3]; and the cameras of which matched
+    features tell nothing: theirs are of whole pictures."""
     means = {view: np.log(np.maximum(np.median([_mean(sample) for sample in samples], 0), 1e-3))
              for view, samples in looked.samples.items()}
-    try:
-        found = common_gains(looked.matches, looked.views)
-    except FastGSError:  # without pycolmap
-        found = {}
-    whole = set(means) - set(found)
     middle = np.median(list(means.values()), 0)
-    gains = {view: found.get(view, value - middle) for view, value in means.items()}
-    return gains, whole
+    gains = {view: np.stack([value - middle, np.zeros(3)]) for view, value in means.items()}
+    with suppress(FastGSError):  # without pycolmap
+        gains |= {view: gain for view, gain in zip(looked.views, gains_of(shared_colours(looked.matches, looked.views))) if gain[1].all()}
+    return gains, {view for view, gain in gains.items() if not gain[1].all()}
 
 
-def common_gains(matches: Matches, views: list[str]) -> dict[str, np.ndarray]:
-    """Logarithms of gains [3] by view that explain the colours of matched features; their median is 0.
-
-    Least squares over the pairs' medians, for the largest group of cameras that are compared with each other.
-    """
-    rows, counts = [], dict.fromkeys(views, 0)
-    for pair in matches.pairs:
-        one, other = (_colours(matches, pair.moment, view, pair.rows[:, k]) for k, view in enumerate((pair.a, pair.b)))
-        good = ((one > 0.04) & (one < 0.96) & (other > 0.04) & (other < 0.96)).all(1)
-        if good.sum() >= LEAST:
-            rows.append((pair.a, pair.b, np.median(np.log(one[good] / other[good]), 0), np.sqrt(good.sum())))
-            counts[pair.a] += 1
-            counts[pair.b] += 1
-    group = max(groups.joined(views, [(a, b) for a, b, _, _ in rows]), key=len)
-    if len(group) < 2:
-        return {}
-    at = {view: k for k, view in enumerate(group)}
-    rows = [row for row in rows if row[0] in at]
-    heavy = np.ones(len(rows) + 1)
-    for _ in range(8):  # of pairs that disagree, the fewer count less
-        system, right = np.zeros((len(rows) + 1, len(group))), np.zeros((len(rows) + 1, 3))
-        for k, (a, b, ratio, weight) in enumerate(rows):
-            w = weight * heavy[k]
-            system[k, at[a]], system[k, at[b]], right[k] = w, -w, w * ratio
-        system[-1] = 1
-        gains = np.linalg.lstsq(system, right, rcond=None)[0]
-        off = np.abs(system @ gains - right).max(1) / np.maximum(np.abs(system).max(1), 1e-12)
-        heavy = 1 / np.sqrt(np.maximum(off, 0.02))
-    gains -= np.median(gains, 0)
-    return {view: gains[k] for view, k in at.items()}
+def shared_colours(matches: Matches, views: list[str]) -> np.ndarray:
+    """Colours [P, V, 3] of matched features, NaN where a view does not show one."""
+    tracks = matches.all_tracks()
+    table = np.full((len(tracks), len(views), 3), np.nan)
+    seen: dict[tuple[int, str], list[tuple[int, int]]] = {}
+    for k, (moment, rows) in enumerate(tracks):
+        for view, row in rows.items():
+            seen.setdefault((moment, view), []).append((k, row))
+    for (moment, view), pairs in seen.items():
+        at, rows = np.array(pairs).T
+        table[at, views.index(view)] = _colours(matches, moment, view, rows)
+    return table
 
 
 def _colours(matches: Matches, moment: int, view: str, rows: np.ndarray) -> np.ndarray:
@@ -102,20 +85,23 @@ def _mean(sample) -> np.ndarray:
 
 def _uneven(section: Section, even, gains, whole) -> None:
     advice = "Set exposure, gain and white balance by hand, the same on all cameras."
-    off = {view: value for view, value in even.items() if max(value, 1 / value) - 1 > (UNEVEN_WHOLE if view in whole else UNEVEN)}
+    off = {view: value for view, value in even.items()
+           if (max(value, 1 / value) - 1 > UNEVEN_WHOLE if view in whole else
+               differs(np.log(value), gains[view][1].mean(), np.log1p(UNEVEN)))}
     words = {view: f"{view} is {value:.2f} times as bright ({abs(np.log2(value) * GAMMA):.1f} stops "
                    f"{'brighter' if value > 1 else 'darker'})"
              for view, value in off.items()}
-    for views, severity, how in (([view for view in off if view not in whole], "poor", "By what they see in common, "),
-                                 ([view for view in off if view in whole], "note", "By whole pictures, which may show other things, ")):
+    for views, severity, how in (
+            ([view for view in off if view not in whole], "poor", "By what they see in common, "),
+            ([view for view in off if view in whole], "note", "Unsure: by whole pictures, which may show other things, ")):
         if views:
             section.add(severity, f"{how}{listed([words[view] for view in views])} as the others: surfaces change their colour from view "
                         "to view.", advice, views, ("brightness", _farthest(even[v] for v in views), "times"))
     tints = {}
     for view, gain in gains.items():
-        tint = np.exp(gain - gain.mean())
-        if view not in whole and np.abs(tint - 1).max() > TINT:
-            channel = int(np.abs(tint - 1).argmax())
+        tint = np.exp(gain[0] - gain[0].mean())
+        channel = int(np.abs(tint - 1).argmax())
+        if view not in whole and differs(np.log(tint[channel]), gain[1, channel], np.log1p(TINT)):
             tints[view] = f"{view} ({('red', 'green', 'blue')[channel]} x {tint[channel]:.2f})", float(tint[channel])
     if tints:
         section.add("poor", f"{listed([words for words, _ in tints.values()])} {'has' if len(tints) == 1 else 'have'} another white "

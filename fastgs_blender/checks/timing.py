@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
 from ..captures.clocks.curves import activity, moving
-from ..captures.clocks.find import LEAST, SURE, find_offsets, stated_offsets
+from ..captures.clocks.find import LEAST, find_offsets, stated_offsets
+from ..captures.evidence import differs
 from ..util.errors import FastGSError
 from . import drawing
 from .report import Section, listed
@@ -49,7 +50,7 @@ def run(looked: Looked) -> Section:
 def _judge(section: Section, found, off: dict[str, float]) -> None:
     for view, deviation in found.clocks.uncertainty.items():
         value = off[view]
-        if view in found.lost or abs(value) <= max(LEAST, SURE * deviation):
+        if view in found.lost or not differs(value, deviation, LEAST):
             continue
         way = "ahead of" if value > 0 else "behind"
         section.add("wrong" if abs(value) >= 0.5 else "poor", f"{view} is {abs(value):.2f} frames {way} the others (found by "

@@ -9,6 +9,7 @@ from ...util.arguments import one_of
 from ...util.arguments import shown as described
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot
+from ..evidence import differs
 from . import epipolar
 from .curves import Curves, activity, curves, flashes, moving
 from .files import Clocks
@@ -23,8 +24,8 @@ ALIKE, ALONE = 0.5, 0.1
 CHANCE = 3.5
 """Curves of motion count as alike above this many standard deviations of the correlation that curves of as many samples have by chance, the
 best of several shifts: in 15 frames almost only equal curves are."""
-SURE, LEAST = 3.0, 0.1
-"""An offset counts where it is so many standard deviations from 0, and so many frames."""
+LEAST = 0.1
+"""Frames by which an offset must differ from 0 to count (captures/evidence.py)."""
 VAGUE = 0.15
 """Standard deviation, in frames, beyond which motion leaves a clock unsure whose offset does not count."""
 FLASH_ERROR, CURVES_ERROR = 0.3, 1.0
@@ -146,7 +147,7 @@ def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, s
     offsets, lost = dict.fromkeys(capture.views, 0.0), []
     for view in capture.views:
         offset, deviation = values.get(view, (np.nan, np.inf))
-        if abs(offset) > max(LEAST, SURE * deviation):
+        if differs(offset, deviation, LEAST):
             offsets[view] = float(offset)
         elif not deviation < vague:
             lost.append(view)

@@ -38,7 +38,8 @@ class CameraEstimates:
         """The estimates at the first step, with the priors of a start, if given."""
         priors = (None, None, None) if start is None else (start.gains, start.fades, start.clocks)
         response = CameraResponse.initial(capture.training_views, capture.clip.frame_count, settings, *priors)
-        return cls(response, CameraTurns.initial(capture.training, settings.poses), settings.iterations)
+        turns = CameraTurns.initial(capture.training, settings.poses, {} if start is None else start.unsure)
+        return cls(response, turns, settings.iterations)
 
     def measure(self, backend, iteration: int, views: list, splat) -> list:
         """Arrays of the backend from which accumulate() makes the step's statistics; splat(view, later) renders a view so much later."""

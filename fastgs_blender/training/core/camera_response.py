@@ -9,6 +9,9 @@ regression of the picture on the render, the clock by one Gauss-Newton step alon
 Fades, exposures that change while a camera films, are known before training (initial/fades.py) and stay as they are.
 
 A change that all cameras share cannot be told from the model, so medians are fixed: 1 for the gains, 0 for biases and clocks.
+
+A model that is not exact is sure of wrong values.  With the setting auto, a camera's exposure and clock move only where pictures of two
+cameras that see the same thing show that they differ (captures/evidence.py), and stay near what these show.
 """
 from __future__ import annotations
 
@@ -17,6 +20,10 @@ from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
+
+from ...captures import exposures as shared_colours
+from ...captures.clocks.find import LEAST as LEAST_CLOCK
+from ...captures.evidence import differs, limits
 
 KEEP = 0.8
 """Decay: the factor on a camera's older sums when new ones are added."""
@@ -50,9 +57,8 @@ with wrong gains partly believes them: its features see the direction, and with 
 PRIOR_CLOCK, ALIKE_PIXELS = 0.5, 30.0
 """Standard deviation of clock offsets in frames, as a prior where the setting is on; number of pixels whose errors are correlated and
 count as one."""
-SURE, LEAST_CLOCK, AROUND = 3.0, 0.1, 2.0
-"""Where the setting is auto, a clock moves only if its expected offset is so many standard deviations from 0, and so many frames; it then
-stays within so many standard deviations of that offset.  A poor model is sure of wrong clocks."""
+MOST_GAIN = 5.0
+"""The largest gain that training corrects, and one over the smallest."""
 TOGETHER = 0.6
 """Where the clocks of this share of the cameras seem to differ by less than NOTICED_CLOCK, they run together and stay equal.  A model
 partly believes one wrong clock in all views near that camera, and a whole side of a rig would drift, by 0.1 frames and more
@@ -61,7 +67,7 @@ FARTHEST = 1.5
 """The largest clock offset in frames that training corrects; larger ones are found before training (captures/clocks)."""
 
 
-SHAPES = {"gains": (3,), "biases": (3,), "offsets": (), "gain_priors": (3,), "offset_priors": (2,), "fades": (3,),
+SHAPES = {"gains": (3,), "biases": (3,), "offsets": (), "gain_priors": (2, 3), "offset_priors": (2,), "fades": (3,),
           "colour_sums": (3, 5), "clock_sums": (4,)}
 """Of one camera, the arrays that a checkpoint holds; all are float64."""
 
@@ -72,7 +78,8 @@ class CameraResponse:
 
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
     gains    [V, 3], biases [V, 3], offsets [V] of clocks in frames: as estimated
-    gain_priors    [V, 3] gains that starting points show; 0: they do not
+    gain_priors    [V, 2, 3] logarithms of gains that points show which cameras share (captures/exposures.py), and their standard
+                   deviations; 0, 0: none is known
     offset_priors  [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in
                    frames; 0, 0: none is known
     fades    [V, 3] logarithm of the exposure's change from the middle of the clip to its end
@@ -101,14 +108,14 @@ class CameraResponse:
         """The state at the first step: no sums; equal exposures and clocks, but for these priors (None: none are known)."""
         v = len(views)
         exposures, clocks = (value if v > 1 else "off" for value in (settings.exposures, settings.clocks))
-        gains = np.zeros((v, 3)) if gains is None else np.array(gains, np.float64)
+        gains = np.zeros((v, 2, 3)) if gains is None or exposures == "off" else np.array(gains, np.float64)
         fades = np.zeros((v, 3)) if fades is None or exposures == "off" else np.array(fades, np.float64)
         offsets = np.zeros((v, 2)) if offsets is None else np.array(offsets, np.float64)
         if clocks == "on":
             offsets[offsets[:, 1] == 0] = 0.0, PRIOR_CLOCK
-        made = cls(tuple(views), 1 / frame_count, exposures, clocks if frame_count > 1 else "off", np.where(gains > 0, gains, 1.0),
+        made = cls(tuple(views), 1 / frame_count, exposures, clocks if frame_count > 1 else "off", np.exp(gains[:, 0]),
                    np.zeros((v, 3)), np.zeros(v), gains, offsets, fades, np.zeros((v, 3, 5)), np.zeros((v, 4)))
-        return replace(made, offsets=made._clock_range().mean(0))
+        return replace(made, offsets=made._clock_range().mean(0), gains=np.clip(made.gains, *made._gain_range()))
 
     # what it does to pictures
 
@@ -155,12 +162,13 @@ class CameraResponse:
         """Whether this step's pictures are used to estimate exposures or clocks."""
         if iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
             return False
-        return self._open(self.exposures, self.colours_differ, iteration, iterations) or \
-            self._open(self.clocks, self.clocks_differ, iteration, iterations)
+        return self.are_clocks_due(iteration, iterations) or (
+            self._open(self.exposures, self.colours_differ, iteration, iterations) and _may_move(self._gain_range()))
 
     def are_clocks_due(self, iteration: int, iterations: int) -> bool:
         """Whether this step's pictures are used to estimate clocks."""
-        return iteration >= CLOCKS_FIRST * iterations and self._open(self.clocks, self.clocks_differ, iteration, iterations)
+        return (iteration >= CLOCKS_FIRST * iterations and self._open(self.clocks, self.clocks_differ, iteration, iterations)
+                and _may_move(self._clock_range()))
 
     @staticmethod
     def _open(setting: str, differ: bool, iteration: int, iterations: int) -> bool:
@@ -202,16 +210,27 @@ class CameraResponse:
         n, p, q, pp, pq = np.moveaxis(self.colour_sums, -1, 0)
         known = n[:, 0] > 0
         n = np.maximum(n, 1e-9)
-        pull, towards = np.where(self.gain_priors > 0, GAIN_PRIOR, PRIOR_GAIN), np.where(self.gain_priors > 0, self.gain_priors, 1.0)
+        expected, deviation = np.moveaxis(self.gain_priors, 1, 0)
+        pull, towards = np.where(deviation > 0, GAIN_PRIOR, PRIOR_GAIN), np.exp(expected)
         a, b, c = pp / n + pull, p / n, 1 + PRIOR_BIAS
         right, above = pq / n + pull * towards, q / n
         det = a * c - b * b
         gains, biases = (right * c - b * above) / det, (a * above - b * right) / det
-        gains = np.clip(np.where(known[:, None], gains, 1), 0.2, 5)
+        gains = np.clip(np.where(known[:, None], gains, 1), 1 / MOST_GAIN, MOST_GAIN)
         biases = np.clip(np.where(known[:, None], biases, 0), -0.5, 0.5)
-        self.gains = gains / np.median(gains[known], axis=0)
+        self.gains = gains / np.exp(np.median(np.log(gains[known]), axis=0))
         self.biases = biases - np.median(biases[known], axis=0)
         self.gains[~known], self.biases[~known] = 1, 0
+        low, high = self._gain_range()
+        self.gains, self.biases = np.clip(self.gains, low, high), np.where(high > low, self.biases, 0.0)
+
+    def _gain_range(self) -> np.ndarray:
+        """Between which gains each camera's may move [2, V, 3]; equal ones: it stays."""
+        if self.exposures != "auto":
+            return np.stack([np.full_like(self.gains, value) for value in (1 / MOST_GAIN, MOST_GAIN)])
+        expected, deviation = np.moveaxis(self.gain_priors, 1, 0)
+        moves = shared_colours.brighter(self.gain_priors)[:, None]
+        return np.clip(np.exp(limits(expected, deviation, moves)), 1 / MOST_GAIN, MOST_GAIN)
 
     def _fit_clocks(self) -> None:
         square, missing, error, n = self.clock_sums.T
@@ -239,9 +258,7 @@ class CameraResponse:
         expected, deviation = self.offset_priors.T
         if self.clocks != "auto":
             return np.stack([np.full_like(expected, -FARTHEST), np.full_like(expected, FARTHEST)])
-        moves = np.abs(expected) > np.maximum(LEAST_CLOCK, SURE * deviation)
-        low, high = (np.where(moves & (deviation > 0), expected + side * AROUND * deviation, 0.0) for side in (-1, 1))
-        return np.clip(np.stack([low, high]), -FARTHEST, FARTHEST)
+        return np.clip(limits(expected, deviation, differs(expected, deviation, LEAST_CLOCK)), -FARTHEST, FARTHEST)
 
     def uncertainty(self) -> np.ndarray:
         """Standard deviations [V] of the clocks, in frames; inf where nothing is known of one."""
@@ -260,6 +277,11 @@ class CameraResponse:
                                   | ({"fade": np.round(fade, 4).tolist()} if fade.any() else {})
                                   for view, gain, bias, fade in zip(self.views, self.gains, self.biases, self.fades)}
         return found
+
+
+def _may_move(low_high: np.ndarray) -> bool:
+    """Whether anything may move between these limits [2, ...]."""
+    return bool((low_high[1] > low_high[0]).any())
 
 
 @dataclass(frozen=True, eq=False)

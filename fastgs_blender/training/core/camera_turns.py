@@ -12,9 +12,13 @@ and the picture changes by its own slope times that (Lucas and Kanade 1981).  Ev
 Shifts are not estimated: they look so much like turns that a model which is not exact makes both wrong.
 
 A turn of all cameras together cannot be told from one of the model, so it stays zero on average: held-out cameras stay where they are.
+
+With the setting auto, only cameras turn that held-back tracks of features showed to be wrong (initial/refine.py), and no farther than these
+are unsure of: a poor model, or one seen by few cameras, is sure of wrong turns.
 """
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -40,7 +44,7 @@ LOOKED_AT = 20_000
 """Pixels of a picture that are compared, about: enough for three numbers, and little work."""
 
 
-SHAPES = {"turns": (3,), "turn_sums": (14,)}
+SHAPES = {"turns": (3,), "turn_sums": (14,), "turn_limits": ()}
 """Of one camera, the arrays that a checkpoint holds; all are float64."""
 
 
@@ -51,6 +55,7 @@ class CameraTurns:
     views    their names;  setting: the setting `poses`;  focal [V] in pixels
     axes     [V, 3, 3] world to camera, of each view's first camera
     turns    [V, 3] as estimated
+    turn_limits  [V] the largest turn of each, in radians
     turn_sums  [V, 14] over pixels and channels: w J J' [3, 3], w J (r + J turn) [3], w r^2, w; J the change of the picture with the turn,
              r the target minus the picture
     """
@@ -61,15 +66,20 @@ class CameraTurns:
     axes: np.ndarray
     turns: np.ndarray
     turn_sums: np.ndarray
+    turn_limits: np.ndarray
 
     @classmethod
-    def initial(cls, shots: list, setting: str) -> CameraTurns:
-        """The state at the first step of training on these shots: no turns.  Parallel projections are left as they are."""
+    def initial(cls, shots: list, setting: str, unsure: Mapping[str, float] = {}) -> CameraTurns:
+        """The state at the first step of training on these shots: no turns.  Parallel projections are left as they are.
+
+        unsure  by view: radians that it may be turned by where the setting is auto; others stay
+        """
         first = {shot.view: shot.camera for shot in reversed(shots)}
         views = tuple(dict.fromkeys(shot.view for shot in shots))
         possible = len(views) > 1 and not any(camera.orthographic for camera in first.values())
         return cls(views, setting if possible else "off", np.array([abs(first[view].fx) for view in views]),
-                   np.array([first[view].world_to_camera[:3, :3] for view in views]), np.zeros((len(views), 3)), np.zeros((len(views), 14)))
+                   np.array([first[view].world_to_camera[:3, :3] for view in views]), np.zeros((len(views), 3)), np.zeros((len(views), 14)),
+                   np.array([FARTHEST if setting == "on" else min(unsure.get(view, 0.0), FARTHEST) for view in views]))
 
     # what it does to cameras
 
@@ -89,6 +99,8 @@ class CameraTurns:
     def is_due(self, iteration: int, iterations: int) -> bool:
         """Whether this step's pictures are used to estimate poses; with auto it ends at SETTLED if none has been noticeably wrong."""
         if self.setting == "off" or iteration % EVERY or not FIRST * iterations <= iteration < LAST * iterations:
+            return False
+        if not self.turn_limits.any():
             return False
         return self.setting == "on" or self.differ or iteration < SETTLED * iterations
 
@@ -137,7 +149,7 @@ class CameraTurns:
             except np.linalg.LinAlgError:  # pictures of one edge, far stronger than the pull
                 continue
             turn = self.turns[k] + FARTHER * (found - self.turns[k])
-            self.turns[k] = turn * min(1, FARTHEST / max(float(np.linalg.norm(turn)), FARTHEST))
+            self.turns[k] = _within(turn, self.turn_limits[k])
         known = self.turn_sums[:, 13] > 0
         if turn_sums.any() and 2 * known.sum() > len(known):
             self._take_out_shared_turn(known)
@@ -150,9 +162,15 @@ class CameraTurns:
             weights = 1 / (1 + ((turns - shared) ** 2).sum(1) / PRIOR**2)
             shared = np.average(turns, axis=0, weights=weights)
         self.turns[known] -= self.axes[known] @ shared
+        self.turns = np.array([_within(*each) for each in zip(self.turns, self.turn_limits)])
 
     def facts(self) -> dict:
         """JSON values of what was found, empty where poses are right."""
         if not self.differ:
             return {}
         return {"poses": {view: np.round(np.degrees(turn), 4).tolist() for view, turn in zip(self.views, self.turns)}}
+
+
+def _within(turn: np.ndarray, most: float) -> np.ndarray:
+    """A rotation vector [3], at most so long."""
+    return turn * (most / max(float(np.linalg.norm(turn)), most, 1e-30))

@@ -61,11 +61,11 @@ class Settings:
     background: str = _choice("auto", "black", "white", "random")
 
     # Cameras that differ (camera_response.py, camera_turns.py, initial/refine.py)
-    exposures: str = _choice("auto", "on", "off")  # gain and offset of each camera and channel; auto: where they are seen to differ
+    exposures: str = _choice("auto", "on", "off")  # gain and offset of each camera and channel; auto: where two cameras show it
     clocks: str = _choice("auto", "on", "off")  # a shift in time for each camera, of a frame or less; auto: where it is found to differ
     # poses and focal lengths of cameras that stand still are refined before training; auto: where features that pictures have in common
-    # then fit clearly better, and not in captures that bring a model; on: where they fit better at all.  While training each camera is
-    # turned until its pictures agree with the model's; auto: where one is off by 0.4 of a pixel
+    # then fit clearly better, and not in captures that bring a model; on: where they fit better at all.  While training cameras are
+    # turned until their pictures agree with the model's; auto: those that were refined, as far as features are unsure of them
     poses: str = _choice("auto", "on", "off")
 
     # Learning rates (position and motion in extents)

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What a training run begins with; initial/ makes it."""
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -14,7 +15,7 @@ class Start:
     model   one Gaussian for each starting point, or those of a model that shows the scene (warm)
     sizes   [N] distances between its backdrop's Gaussians, NaN for others (anchor.py)
     depth   how far away is what the cameras film; None: the capture's extent
-    gains, fades, clocks  priors of CameraResponse.initial()
+    gains, fades, clocks  what CameraResponse.initial() takes;  unsure: what CameraTurns.initial() takes
     """
 
     model: GaussianModel
@@ -24,3 +25,4 @@ class Start:
     fades: np.ndarray | None = None
     clocks: np.ndarray | None = None
     warm: bool = False
+    unsure: Mapping[str, float] = field(default_factory=dict)

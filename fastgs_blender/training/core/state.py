@@ -19,6 +19,8 @@ LONGEST_STEP = 10.0
 """Adam's mean is at most 7.3 times the root of its mean square with the rates of forgetting that training uses, 0.9 and 0.999."""
 TINY = 1e-18
 """Gradients so small vanish when they are squared."""
+MOST_LOG = 100.0
+"""Logarithm of a gain that is expected, and of its standard deviation."""
 LARGEST_OFFSET = 1e6
 """Frames of a clock offset that is expected, and of its standard deviation."""
 LARGEST_COUNT = 2**31 - 2
@@ -139,8 +141,12 @@ def _cameras_in_range(part: str, array: np.ndarray) -> bool:
     most = {"biases": 10.0, "offsets": 2 * FARTHEST, "fades": 5.0, "turns": 0.1}
     if part in most:
         return bool((np.abs(array) <= most[part]).all())
-    if part in ("gains", "gain_priors"):  # a prior of 0: starting points show none
-        return bool(((array > 0.01) & (array < 100) | (array == 0) & (part == "gain_priors")).all())
+    if part == "gains":
+        return bool(((array > 0.01) & (array < 100)).all())
+    if part == "turn_limits":
+        return bool(((array >= 0) & (array <= 0.1)).all())
+    if part == "gain_priors":
+        return bool((np.abs(array) <= MOST_LOG).all() and (array[:, 1] >= 0).all())
     if part == "offset_priors":
         return bool((np.abs(array[:, 0]) <= LARGEST_OFFSET).all() and ((array[:, 1] >= 0) & (array[:, 1] <= LARGEST_OFFSET)).all())
     if not (np.abs(array) <= LARGEST_SUM).all():

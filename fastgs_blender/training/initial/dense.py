@@ -10,7 +10,8 @@ from typing import Any
 
 import numpy as np
 
-from ...captures.capture import Points, Shot
+from ...captures.capture import Points, Shot, by_view
+from ...captures.exposures import gains_of
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
 from ..core.schedule import POINTS, generator
@@ -30,12 +31,8 @@ FEW_CAMERAS = 6
 """Cameras up to which most of what they film is seen by two of them at best."""
 MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
-DARK, BRIGHT = 0.04, 0.97
-"""Colours beyond which nothing is told of a camera's exposure."""
-ROUNDS, OUTLYING = 12, 0.06
-"""Rounds of robust least squares, and the difference of a colour's logarithm at which it counts half."""
-UNEVEN = 0.06
-"""Difference of gains from 1 below which they are left to the training: a few colours of a few points tell no less."""
+SAME_SIDE = np.radians(20)
+"""Angle within which a view sees what the mean of other views sees."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
 COMPANY, LONELY = 16, 4.0
@@ -115,7 +112,7 @@ def _features(capture, store, settings, moments, tick):
     Features are found whatever the exposures are; the plane sweep compares colours.
     """
     extract, few = features.extractor(), few_cameras(moments)
-    clouds, looks = [], []
+    clouds, looks, toward = [], [], []
     for shots in moments:
         pictures = [picture(capture, store, settings, enlarged(capture, shot) if few else shot, features.LARGEST_SIDE) for shot in shots]
         found = []
@@ -126,54 +123,47 @@ def _features(capture, store, settings, moments, tick):
         xyz, seen_by = features.triangulated(found, 2 if few else min(len(shots), 3))
         for point, views in zip(xyz, seen_by):
             looks.append({shots[k].view: sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views})
+            rays = np.array([pictures[k][1].centre for k in views]) - point
+            mean = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).sum(0)
+            toward.append(mean / max(np.linalg.norm(mean), 1e-12))
         moment = np.nan if len({shot.frame for shot in shots}) > 1 else shots[0].t
         clouds.append(Points(xyz, np.zeros((len(xyz), 3)), np.full(len(xyz), moment)))
         tick()
     points = joined(clouds)
     if len(points) < FEW * len(moments):
         raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
+    _look_from_elsewhere(capture, store, settings, moments, points, np.array(toward), looks)
     response = response_of(capture, settings, looks)
     rgb = np.array([np.mean([response.in_model_colours(*pair) for pair in each.items()], 0) for each in looks]).reshape(-1, 3)
     return Points(points.xyz, rgb, points.t), CorrectedStore(store, response)
 
 
 def response_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
-    """How cameras differ, from the colours [3] of points in the views that see them.
-
-    The logarithm of a colour is the point's plus that of the camera's gain: robust least squares over all points and cameras together.
-    (Medians of ratios to the points' medians are too near 1, because a point that few cameras see has their own colours as its median.)
-    """
+    """How cameras differ, from the colours [3] of points in the views that see them (captures/exposures.py)."""
     views = capture.training_views
     place = {view: k for k, view in enumerate(views)}
     table = np.full((len(looks), len(views), 3), np.nan)
     for row, each in zip(table, looks):
         for view, colour in each.items():
             row[place[view]] = colour
-    table[(table < DARK) | (table > BRIGHT)] = np.nan
-    table[np.isfinite(table).sum(1, keepdims=True).repeat(len(views), 1) < 2] = np.nan  # alone, a colour tells nothing
-    known = (np.isfinite(table).sum(0) >= FEW).all(1)
-    priors = None
-    if known.sum() >= 2:
-        gains = np.exp(np.stack([_offsets(np.log(table[:, known, c])) for c in range(3)], 1))
-        priors = np.zeros((len(views), 3))
-        priors[known] = np.clip(gains / np.median(gains, 0), 0.3, 3)
-        priors = None if np.abs(priors[known] - 1).max() < UNEVEN else priors
-    return CameraResponse.initial(views, capture.clip.frame_count, settings, priors)
+    return CameraResponse.initial(views, capture.clip.frame_count, settings, gains_of(table))
 
 
-def _offsets(values: np.ndarray) -> np.ndarray:
-    """Offsets [V] of columns: values [P, V], NaN where unknown, are a number of each row plus these, but for noise and outliers."""
-    there = np.isfinite(values)
-    values, weight = np.where(there, values, 0.0), there.astype(np.float64)
-    offsets = np.zeros(values.shape[1])
-    for _ in range(ROUNDS):
-        total = np.maximum(weight.sum(1), 1e-9)
-        # the rows' own numbers eliminated: normal equations of the columns alone
-        matrix = np.diag(weight.sum(0)) - weight.T @ (weight / total[:, None])
-        offsets = np.linalg.pinv(matrix) @ (weight * (values - ((weight * values).sum(1) / total)[:, None])).sum(0)
-        own = (weight * (values - offsets)).sum(1) / total
-        weight = there / (1 + ((values - offsets - own[:, None]) / OUTLYING) ** 2)
-    return offsets
+def _look_from_elsewhere(capture, store, settings, moments, points, toward, looks) -> None:
+    """Add the colours that points have in views which are not among the moments' pictures, at the points' own moments.
+
+    toward  [P, 3] mean directions to the cameras that see the points: what is seen from much the same side is not hidden there
+    """
+    compared, times = {shot.view for shots in moments for shot in shots}, {shots[0].frame: shots[0].t for shots in moments}
+    for view, shots in by_view(capture.training).items():
+        for shot in [shot for shot in shots if view not in compared and shot.frame in times]:
+            image, camera, inside = picture(capture, store, settings, shot, features.LARGEST_SIDE)
+            places, _ = project(camera, points.xyz)
+            away = camera.centre - points.xyz
+            near = (away * toward).sum(1) > np.cos(SAME_SIDE) * np.linalg.norm(away, axis=1)
+            for k in np.flatnonzero(near & visible(camera, points.xyz) & (points.t == times[shot.frame])):
+                if inside is None or sample(inside[..., None], places[k:k + 1])[0, 0] > 0.5:
+                    looks[k][view] = sample(image, places[k:k + 1])[0]
 
 
 def votes(cloud: Points, pictures, depths, few: bool = False) -> np.ndarray:

@@ -8,7 +8,8 @@ all cameras show is the light's, and belongs to the model.
 import numpy as np
 
 from ...captures.capture import by_view
-from .dense import BRIGHT, DARK, picture, spread
+from ...captures.exposures import BRIGHT, DARK
+from .dense import picture, spread
 
 MOMENTS, LEAST_MOMENTS = 16, 5
 """Pictures of each camera that are looked at, and with fewer of which nothing is told."""

@@ -1,10 +1,12 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Refines the given poses and focal lengths of a rig that stands still, by features that its pictures have in common (bundle.py).
 
-Every fifth track is held back.  The refined cameras are taken where these tracks fit them clearly better; else all stays as it was given.
+Every fifth track is held back.  A refined camera is taken where the features that it has of these tracks fit surely better
+(captures/evidence.py); the others stay as they were given, and all do if the tracks as a whole do not fit clearly better.
 Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
 """
 import json
+from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
 
@@ -12,6 +14,7 @@ import numpy as np
 
 from ...cameras import poses
 from ...captures.capture import Capture, by_view
+from ...captures.evidence import AROUND, differs
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json, reading
@@ -32,7 +35,10 @@ LEAST_VIEWS, ENOUGH, MOST = 3, 100, 6000
 HELD_BACK = 5
 """Every so many tracks, one is held back."""
 BETTER, BY = 0.9, 0.05
-"""Where the error of the held-back tracks falls below this share of what it was, and by so many pixels, refined cameras are taken."""
+"""Where the error of the held-back tracks falls below this share of what it was, and by so many pixels, refined cameras are taken: those
+whose own features come nearer by as much."""
+LEAST_HELD = 8
+"""Features of held-back tracks, with fewer of which nothing is told of a camera."""
 NOTHING: dict = {"cameras": {}}
 """What is known of a run whose cameras stay as they were given."""
 
@@ -41,8 +47,9 @@ def refinement(capture: Capture, store, settings, path, begun: bool, say=print, 
     """What is to be changed in the cameras of a run, which the file `path` keeps: a resumed run changes the same.
 
     begun  the run has a checkpoint: without that file it goes on with the cameras that were given
-    Returns {"cameras": {view: {"turn": [3], "shift": [3], "focal": factor}}, "before": pixels, "after": pixels}, see
-    captures/refined.py; no cameras where these stay.  Raises FastGSError where the folder's file is damaged.
+    Returns {"cameras": {view: {"turn": [3], "shift": [3], "focal": factor, "unsure": radians}}, "before": pixels, "after": pixels}, see
+    captures/refined.py; no cameras where these stay.  unsure: by how much more training may turn it.  Raises FastGSError where the
+    folder's file is damaged.
     """
     if path.exists() and (known := kept(path, capture)) is not None:
         return known
@@ -72,7 +79,8 @@ def kept(path, capture) -> dict | None:
             where = f"{path}: the camera of {view}"
             cameras[view] = {"turn": poses.numbers(entry["turn"], (3,), where).tolist(),
                              "shift": poses.numbers(entry["shift"], (3,), where).tolist(),
-                             "focal": poses.number(entry["focal"], where, 0.5, 2.0)}
+                             "focal": poses.number(entry["focal"], where, 0.5, 2.0),
+                             "unsure": poses.number(entry.get("unsure", 0.0), where, 0.0, 1.0)}
         return {"cameras": cameras, **{name: poses.number(values[name], f"{path}: {name}")
                                     for name in ("before", "after") if name in values}}
 
@@ -96,8 +104,10 @@ def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambd
     say(f"cameras: {int(used.sum())} refined by features that they see together, which now fit to {after:.2f} pixels instead of "
         f"{before:.2f}; turned by up to {np.degrees(np.linalg.norm(turns, axis=1)).max():.2f} degrees, focal lengths changed by up to "
         f"{100 * np.abs(focal - 1).max():.2f} %")
+    unsure = AROUND * after / rig.pixels.min(1)
     changes = {view: {"turn": np.round(turns[k], 10).tolist(), "shift": np.round(better.centres[k] - rig.centres[k], 10).tolist(),
-                      "focal": round(float(focal[k]), 10)} for k, view in enumerate(first) if used[k]}
+                      "focal": round(float(focal[k]), 10), "unsure": round(float(unsure[k]), 10)}
+               for k, view in enumerate(first) if used[k]}
     return {"cameras": changes, "before": round(before, 4), "after": round(after, 4)}
 
 
@@ -148,8 +158,8 @@ def tracked(capture, store, settings, views, progress=lambda done, of: None) -> 
 
 
 def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float, float, np.ndarray]:
-    """The rig that fits tracks better, the errors in pixels of held-back tracks by the given one and by that one, and which cameras [V]
-    the others tell about."""
+    """The rig that fits tracks better, the errors in pixels of held-back tracks by the given one and by that one, and which cameras [V] are
+    surely better in it; the others are as given."""
     points = bundle.placed(rig, tracks)
     good = (bundle.track_errors(rig, tracks, points) < WIDE) & _wide_enough(rig, tracks, points)
     good &= np.cumsum(good) % max(1, -(-int(good.sum()) // MOST)) == 0
@@ -158,10 +168,35 @@ def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float,
     tracks, points = tracks.take(good), points[good]
     back = np.arange(len(tracks)) % HELD_BACK == HELD_BACK - 1
     rest = tracks.take(~back)
-    better, _ = bundle.adjusted(rig, rest, points[~back])
+    best, _ = bundle.adjusted(rig, rest, points[~back])
     held = tracks.take(back)
+    sure = _surely_better(rig, best, held) & np.isin(np.arange(len(rig.lens)), rest.camera)
+    focal = np.isin(rig.lens, rig.lens[sure])  # cameras with one lens have one focal length
+    better = replace(best, turns=np.where(sure[:, None, None], best.turns, rig.turns),
+                     centres=np.where(sure[:, None], best.centres, rig.centres), shrink=np.where(focal, best.shrink, rig.shrink))
     before, after = (float(np.median(bundle.track_errors(each, held, bundle.placed(each, held)))) for each in (rig, better))
-    return better, before, after, np.isin(np.arange(len(rig.lens)), rest.camera)
+    return better, before, after, sure | focal
+
+
+def _surely_better(given: bundle.Rig, better: bundle.Rig, held: bundle.Tracks) -> np.ndarray:
+    """Which cameras [V] have features in held-back tracks that surely lie nearer to where the better rig's other cameras put their points,
+    than by the given camera.  (Where one camera is wrong, points get better for all that see them.)"""
+    sure = np.zeros(len(given.lens), bool)
+    for camera in range(len(sure)):
+        own = held.camera == camera
+        others = ~own & np.isin(held.point, held.point[own])
+        known = others & (np.bincount(held.point[others], minlength=len(held))[held.point] > 1)
+        if not known.any():
+            continue
+        points, number = np.unique(held.point[known], return_inverse=True)
+        placed = bundle.placed(better, bundle.Tracks(held.camera[known], number, held.rays[known], held.slopes[known]))
+        looks = own & np.isin(held.point, points)
+        mine = bundle.Tracks(held.camera[looks], np.searchsorted(points, held.point[looks]), held.rays[looks], held.slopes[looks])
+        before, after = (np.linalg.norm(bundle.misses(rig, mine, placed), axis=1).clip(max=WIDE) for rig in (given, better))
+        nearer = before - after
+        if len(nearer) >= LEAST_HELD:
+            sure[camera] = nearer.mean() > 0 and differs(nearer.mean(), nearer.std() / np.sqrt(len(nearer) - 1), BY)
+    return sure
 
 
 def rig_of(cameras, lenses, pixels) -> bundle.Rig:

@@ -24,7 +24,8 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
         (warm_start.points_of(model, capture), store)
     behind = backdrop.with_backdrop(capture, store, settings, found)
     if model is None:
-        gains = store.response.gain_priors if isinstance(store, CorrectedStore) and store.response.colours_differ else None
+        gains = store.response.gain_priors if isinstance(store, CorrectedStore) else None
+        _tell_unsure(capture, settings, gains, say)
         behind = starting_points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
         return Start(first, behind.size, depth_of(behind, capture), gains, fades, clocks)
@@ -59,6 +60,14 @@ def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
         say("clocks differ by more frames than training corrects: " + ", ".join(f"{view} {value:+.1f}" for view, value in apart.items())
             + "; run fastgs sync on this capture")
     return expected
+
+
+def _tell_unsure(capture, settings, gains: np.ndarray | None, say) -> None:
+    views = capture.training_views
+    unsure = views if gains is None else [view for view, known in zip(views, gains[:, 1].all(1)) if not known]
+    if settings.exposures == "auto" and unsure and len(views) > 1:
+        some = "all cameras" if len(unsure) == len(views) else ", ".join(unsure[:6]) + (" ..." if len(unsure) > 6 else "")
+        say(f"exposures: unsure for {some}, which see too little that other cameras see; they stay as they are")
 
 
 def _steady(capture, store, settings, say):

@@ -289,7 +289,7 @@ def test_a_damaged_model_of_the_capture_is_told_and_points_begin_instead(blank, 
     (tmp_path / "bake.safetensors").write_bytes(b"no model")
     said = []
     begun = start(replace(capture, model=tmp_path / "bake.safetensors"), store, settings(init_points=500), said.append)
-    assert "bake.safetensors" in said[0] and "random" in said[-1] and len(begun.model) >= 500
+    assert "bake.safetensors" in said[0] and "random" in said[-2] and "unsure for all" in said[-1] and len(begun.model) >= 500
     with pytest.raises(fg.FastGSError, match="bake.safetensors"):
         start(capture, store, settings(init_model=str(tmp_path / "bake.safetensors")), said.append)
 

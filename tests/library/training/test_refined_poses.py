@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 from pathlib import Path
-from types import SimpleNamespace
+from types import MappingProxyType, SimpleNamespace
 
 import numpy as np
 import pytest
@@ -48,11 +48,12 @@ def moved(camera, turn):
     return replace(camera, world_to_camera=turned(camera.world_to_camera, turn))
 
 
-def trainer(made, **choices):
+def trainer(made, unsure=MappingProxyType({}), **choices):
     capture, store, points, _ = made
     chosen = settings(**{**dict(init_points=150, max_gaussians=150, warm_up=(), init_opacity=0.9, init_scale=1.0, preview_every=0,
                                 appearance="rgb", motion="static", iterations=300), **choices})
-    return Trainer(capture, store, chosen, Start(model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)))
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    return Trainer(capture, store, chosen, Start(first, unsure=unsure))
 
 
 def train(who):
@@ -100,8 +101,8 @@ def test_what_stopped_at_its_limit_is_a_warning():
 
 @pytest.fixture(scope="module")
 def refined():
-    """A run with the setting auto, and the same one that leaves poses as they are."""
-    return [train(trainer(cloud(), poses=setting)) for setting in ("auto", "off")]
+    """A run with the setting auto, that knows of one camera that it may be wrong, and the same one that leaves poses as they are."""
+    return [train(trainer(cloud(), {"cam03": 2 / FOCAL}, poses=setting)) for setting in ("auto", "off")]
 
 
 def test_one_wrong_pose_is_refined_and_told(refined):
@@ -118,10 +119,24 @@ def test_one_wrong_pose_is_refined_and_told(refined):
 
 
 def test_right_poses_stay():
-    who = train(trainer(cloud({}), poses="auto"))
+    who = train(trainer(cloud({}), dict.fromkeys(WRONG, 2 / FOCAL), poses="auto"))
     assert who.cameras.turns.turn_sums.any() and not who.cameras.turns.differ and who.cameras.turns.facts() == {}
     shot = who.shots[0]
     assert who.cameras.turns.camera(shot.view, shot.camera) is shot.camera
+
+
+def test_no_camera_turns_farther_than_tracks_are_unsure_of():
+    """A poor model wants to turn all cameras by 3 pixels, each another way."""
+    capture, *_ = cloud({})
+    sums = np.zeros((5, 14))
+    for k, row in enumerate(sums):
+        row[:] = *(1e9 * np.eye(3)).ravel(), *(1e9 * 3 / FOCAL * np.roll([1, -1, 0], k)), 1.0, 1e5
+    found = CameraTurns.initial(capture.training, "auto", {"cam03": 0.5 / FOCAL})
+    for _ in range(8):
+        found.update(sums)
+    size = np.linalg.norm(found.turns, axis=1) * FOCAL
+    assert 0.4 < size[2] <= 0.5 + 1e-9 and not np.delete(size, 2).any()
+    assert not CameraTurns.initial(capture.training, "auto").is_due(400, 1000), "nothing is measured that could turn nothing"
 
 
 def test_a_restored_run_goes_on_exactly(tmp_path):

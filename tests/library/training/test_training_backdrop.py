@@ -58,7 +58,8 @@ def test_cameras_that_differ_agree_on_it(filmed):
     for (view, frame), pixels in store.pictures.items():
         gain = gains[views.index(view)] if view in views else np.ones(3)
         store.pictures[view, frame] = Pixels(np.float32(np.clip(pixels.rgb * gain, 0, 1)))
-    even = CameraResponse.initial(views, capture.clip.frame_count, settings.settings(), gains)
+    told = np.stack([np.log(gains), np.full_like(gains, 0.01)], 1)
+    even = CameraResponse.initial(views, capture.clip.frame_count, settings.settings(), told)
     found = backdrop.with_backdrop(capture, CorrectedStore(store, even), settings.settings(init_points=1000, backdrop=0.5), points)
     assert len(found) > 20 and np.allclose(found.rgb, SKY, atol=0.02)
 

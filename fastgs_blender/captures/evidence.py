@@ -1,0 +1,28 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Decides whether a camera's clock, gain or pose differs from the others', by what two cameras that see the same thing show.
+
+Each has its own measure: what moves in planes through two cameras (clocks/epipolar.py), colours of points that several cameras see
+(exposures.py), tracks of features that were held back (training/initial/refine.py).  Each gives a value with its standard deviation, and
+the rule is one.
+"""
+import numpy as np
+
+SURE = 3.0
+"""A value counts where it is so many standard deviations from 0."""
+AROUND = 2.0
+"""Training moves a value that counts within so many standard deviations of it: a poor model is sure of wrong values."""
+
+
+def differs(values, deviations, least) -> np.ndarray:
+    """Whether values are surely not 0: by SURE standard deviations, and by more than `least`.
+
+    deviations  0 or not finite where nothing is known: such a value is unsure, and never counts
+    """
+    values, deviations = np.broadcast_arrays(np.asarray(values, np.float64), np.asarray(deviations, np.float64))
+    known = np.isfinite(values) & np.isfinite(deviations) & (deviations > 0)
+    return known & (np.abs(np.where(known, values, 0)) > np.maximum(least, SURE * np.where(known, deviations, 0)))
+
+
+def limits(values, deviations, moves) -> np.ndarray:
+    """Between which training may move values [2, ...]: where `moves`, AROUND deviations to either side; else they stay 0."""
+    return np.stack([np.where(moves, values + side * AROUND * deviations, 0.0) for side in (-1, 1)])
