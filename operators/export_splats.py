@@ -16,6 +16,7 @@ from ..fastgs_blender.formats.scenes import as_seen
 from ..fastgs_blender.formats.usd import save_samples
 from ..scene import objects, snapshot
 from ..scene.background import in_background
+from ..scene.splats import parting
 from .exporting import Exporting
 
 SAMPLE = 200
@@ -60,7 +61,7 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         items=(
             ('FRAME', "Frame", "What the scene shows on this frame, as one static file: with transforms, looks, crops and times", 0),
             ('RANGE', "Frame Range", "The same for each frame of a range, as numbered files", 1),
-            ('MODEL', "4D Model", "The active object's model with its motion: its file's, or its own part", 2),
+            ('MODEL', "4D Model", "The active object's model with its motion and its parts", 2),
         ), default='FRAME')
     static_format: EnumProperty(name="Format", description="The kind of file", items=_items(STATIC), default='PLY')
     moving_format: EnumProperty(name="Format", description="The kind of file", items=_items(MOVING), default='OWN')
@@ -187,7 +188,6 @@ def _model(context) -> fg.GaussianModel:
     obj = context.object
     if obj is None or not objects.is_splat(obj):
         raise fg.FastGSError("the active object shows no splats; make the object active whose model is to be exported.")
-    model = objects.source_of(obj)
-    if not isinstance(model, fg.GaussianModel):
+    if not isinstance(objects.source_of(obj), fg.GaussianModel):
         raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
-    return model
+    return parting.whole_of(obj)

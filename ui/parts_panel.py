@@ -33,8 +33,7 @@ class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings, scene = self.layout, context.object.fastgs, context.scene.fastgs
-        _draw_tools(layout, SELECTING, "Select", ('RESTRICT_SELECT_OFF', 'SELECT_SET', 'NONE', 'NONE', 'NONE'),
-                    ("Thing", "Box", "Lasso", "Brush", "Ball"))
+        _draw_tools(layout, SELECTING, ("Thing", "Box", "Lasso", "Brush", "Ball"))
         layout.prop(scene, "select_through", text="Through to the Back")
         row = layout.row(align=True)
         row.menu("FASTGS_MT_select", text="Select")
@@ -57,7 +56,7 @@ class FASTGS_PT_parts_erase(_Below, bpy.types.Panel):
 
     def draw(self, context):
         layout = self.layout
-        _draw_tools(layout, ERASING, "Erase", ('BRUSH_DATA', 'NONE', 'NONE'), ("Brush", "Lasso", "Box"))
+        _draw_tools(layout, ERASING, ("Brush", "Lasso", "Box"))
         row = layout.row(align=True)
         row.operator("fastgs.erase", icon='HIDE_ON')
         row.operator("fastgs.show_hidden", icon='HIDE_OFF')
@@ -111,8 +110,8 @@ class FASTGS_PT_parts_filters(_Below, bpy.types.Panel):
         layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
 
 
-def _draw_tools(layout, tools, what: str, icons, names):
+def _draw_tools(layout, tools, names):
     """Draw the buttons that choose tools of the toolbar."""
     row = layout.row(align=True)
-    for tool, icon, name in zip(tools, icons, names, strict=True):
-        row.operator("wm.tool_set_by_id", text=name, icon=icon).name = tool.bl_idname
+    for tool, name in zip(tools, names, strict=True):
+        row.operator("wm.tool_set_by_id", text=name).name = tool.bl_idname

@@ -8,10 +8,10 @@ from dataclasses import dataclass, field, replace
 import bpy
 
 from ...fastgs_blender.util.errors import FastGSError, printable
-from .. import startup, upright
+from .. import objects, startup, upright
 from ..cameras import framing, from_view
 from ..frame_range import fit_scene
-from . import splat_object
+from . import parting, splat_object
 from .proxy import LIMIT
 
 
@@ -56,7 +56,7 @@ class Imported:
                 operator.report({kind}, text)
         if not self.objects:
             return {'CANCELLED'}
-        total, files = sum(obj.fastgs.gaussian_count for obj in self.objects), len(self.objects)
+        total, files = sum(len(objects.load_model(objects.abspath(obj))) for obj in self.objects), len(self.objects)
         operator.report({'INFO'}, f"Imported {total:,} Gaussians from {files} file{'s' if files > 1 else ''}")
         for text in self.remarks:
             operator.report({'INFO'}, text)
@@ -77,6 +77,7 @@ def import_files(context, paths: list[str], options: Options) -> Imported:
                 done.errors.append(splat_object.sentence(error))
             else:
                 done.objects.append(obj)
+                parting.from_file(context, obj)
                 if options.up is not None and upright.axis_of(obj) != options.up:
                     done.remarks.append(f'The file of "{obj.name}" says which axis points up, and it does; Up Axis lets another one')
         done.warnings += [printable(remark.message) for remark in remarks]

@@ -2,10 +2,14 @@
 """Makes parts of splat objects, which are ordinary objects, and joins them again."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ...fastgs_blender.model.gaussians import GaussianModel
+from ...fastgs_blender.model.parts import Parts
 from ...fastgs_blender.rendering.masks import pack_mask
 from ...fastgs_blender.util.errors import FastGSError
 from .. import objects, selection
@@ -66,6 +70,33 @@ def join(context, target, others: list) -> int:
     selection.put(target, mask=erased)
     _show(target, own)
     return int(own.sum()) - before
+
+
+def from_file(context, obj) -> list[bpy.types.Object]:
+    """Make objects of the parts that the file of a splat object names.
+
+    Of Gaussians of several parts the first has them; parts of none, and one that would leave nothing, are left out.
+    """
+    model, made = objects.load_model(objects.abspath(obj)), []
+    for name, bits in model.parts.items() if isinstance(model, GaussianModel) else ():
+        own = selection.bits(obj, "part")
+        if (own & bits).any() and (own & ~bits).any():
+            made.append(separate(context, obj, bits, name))
+    if made:
+        objects.select_only(context, obj)
+    return made
+
+
+def whole_of(obj) -> GaussianModel:
+    """What an object shows of its file, with what those of its children show that are parts of it, by their names.  Raises FastGSError."""
+    model, own, named = objects.load_one_model(obj, "exported as one model"), selection.bits(obj, "part"), {}
+    for child in obj.children_recursive:
+        if objects.is_splat(child) and child.fastgs.part and objects.abspath(child) == objects.abspath(obj):
+            named[child.name] = selection.bits(child, "part")
+            own = own | named[child.name]
+    if not named and not obj.fastgs.part:
+        return model
+    return replace(model.take(own), parts=Parts.of({name: bits[own] for name, bits in named.items()}))
 
 
 def _show(obj, bits: np.ndarray) -> None:

@@ -220,6 +220,24 @@ def test_export_of_the_model(pair, fg, tmp_path):
     assert len(model) == MINE.sum() and (model.position[:, 0] > 0).all() and model.motion.any()
 
 
+def test_parts_in_our_files(pair, fg, tmp_path, truth, module, render):
+    """The object's model holds its part by name; its import makes both objects again, and the same picture."""
+    before = render()["ViewLayer.Combined"]
+    bpy.context.view_layer.objects.active = pair[0]
+    path = tmp_path / "both.safetensors"
+    assert bpy.ops.export_scene.fastgs(filepath=str(path), content='MODEL') == {'FINISHED'}
+    model = fg.load(path)
+    assert model.parts.names == ("Ball",) and np.array_equal(model.parts["Ball"], MINE)
+    for obj in pair:
+        bpy.data.objects.remove(obj)
+    assert bpy.ops.import_scene.fastgs(filepath=str(path), view='KEEP') == {'FINISHED'}
+    whole = bpy.context.object
+    (part,) = whole.children
+    assert (part.name, part.fastgs.gaussian_count, whole.fastgs.gaussian_count) == ("Ball", 20, 60) and whole.select_get()
+    whole.fastgs.start_frame = part.fastgs.start_frame = 1
+    np.testing.assert_allclose(render()["ViewLayer.Combined"], before, atol=2e-6)
+
+
 def test_delete_for_good(pair, fg, tmp_path, render, module):
     """Writes a file of the part alone, which the part shows from then on; the other object keeps its own."""
     module("scene.selection").erase(pair[1], np.arange(N) == 4)
