@@ -10,7 +10,6 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..kernels.cpu.walk import potential
 from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from .joins import joins
@@ -34,6 +33,8 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     Joins are kept while the model lives, so that further strokes take less time.  Raises FastGSError where `yes` is empty.
     """
+    from ..kernels.cpu.walk import potential  # it brings numba, which enabling the add-on must not
+
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
     pulled = yes.astype(np.float32) - (0 if no is None else no)
