@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Parts of a model: through cutting, joining and files; and a selection that finds its Gaussians in another model again."""
+"""Parts of a model: through cutting, joining and files."""
 from __future__ import annotations
 
 import json
@@ -12,7 +12,6 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.formats.native import KEY
-from fastgs_blender.selecting.carry import carried
 from fastgs_blender.util.tensor_files import open_tensors, write_tensors
 
 
@@ -91,29 +90,3 @@ def test_parts_have_as_many_gaussians_as_the_model(model):
         replace(model, parts=fg.Parts.of({"a": np.ones(5, bool)}))
     with pytest.raises(fg.FastGSError, match="Ball, Höhe"):
         model.parts["Hat"]
-
-
-def clumps(rng, count):
-    """Two clumps of other colours, and which is the first."""
-    first = np.arange(count) < count // 2
-    place = rng.normal(size=(count, 3)) * 0.5 + np.where(first, -1.5, 1.5)[:, None] * [1, 0, 0]
-    colour = np.where(first[:, None], [0.8, 0.3, 0.2], [0.2, 0.4, 0.8]) + rng.normal(size=(count, 3)) * 0.02
-    return fg.GaussianModel(place, np.tile([1.0, 0, 0, 0], (count, 1)), np.full((count, 3), -3.0), np.full(count, 3.0), colour), first
-
-
-def test_a_selection_is_found_again_in_a_retrained_model(rng):
-    old, first = clumps(rng, 900)
-    new, wanted = clumps(rng, 700)
-    bits, sure = carried(old, new, first)
-    assert sure > 0.95 and np.mean(bits == wanted) > 0.99
-    bits, sure = carried(old, old, first)
-    assert sure == 1 and np.array_equal(bits, first)
-
-
-def test_where_that_is_not_sure_a_sentence_says_so(rng):
-    old, _ = clumps(rng, 900)
-    new, _ = clumps(rng, 700)
-    with pytest.raises(fg.FastGSError, match="select it anew"):
-        carried(old, new, rng.random(900) < 0.5)
-    with pytest.raises(fg.FastGSError, match="select it anew"):
-        carried(old, replace(new, position=new.position + 40), np.arange(900) < 450)
