@@ -41,7 +41,8 @@ def environment(user):
 
 
 def test_from_the_open_scene_to_a_rendered_shot(user, environment):
-    facts = user.story("training_window.from_scene_to_shot", window=True, environment=f"/mnt/{environment}", cache=f"/mnt/{KERNELS}")
+    facts = user.story("training_window.from_scene_to_shot", window=True, screen="1280x1000",  # all of a finished run below the panels
+                       environment=f"/mnt/{environment}", cache=f"/mnt/{KERNELS}")
     assert facts["python"] == f"/mnt/{environment}/bin/python"
     assert facts["kinds"][-2:] == ['TRAINING', 'FINISHED'] and any("left" in line for line in facts["lines"])
     assert "Held-out PSNR" in facts["report"] and "8 cameras, 3 frames, 160 x 120" in facts["checked"]
