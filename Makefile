@@ -87,6 +87,7 @@ bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
 	@$(PY) benchmarks/viewport.py
 	@$(PY) benchmarks/features.py
+	@$(PY) benchmarks/scene_light.py
 	@$(PY) benchmarks/baked_passes.py
 	@$(PY) benchmarks/points.py
 	@$(PY) benchmarks/shots.py

@@ -39,6 +39,11 @@ def surface(triangles) -> None:
     shapes((triangles, "f 3 3"))
 
 
+def past_splats(points, over) -> None:
+    """PictureBackend.past_splats() and past_triangles()."""
+    shapes((points, "p 3"), (over, "p"))
+
+
 def forward(parameters, template: GaussianModel) -> None:
     """TrainingBackend.forward()."""
     assert template.arrays.keys() <= parameters.keys(), "parameters of another kind of model"

@@ -85,6 +85,16 @@ class PictureBackend(Protocol):
     def surface(self, triangles: np.ndarray, camera: Camera) -> Array:
         """Depth of the nearest of the triangles [F, 3, 3] float32 in each pixel [h, w]; inf where there is none."""
 
+    def past_splats(self, instances: list[ViewedInstance], camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
+        """Which share of the light from the camera's centre comes past the splats to points [P, 3] float64 of the world: [P] float32; see
+        rendering/passing.py.  The window holds all of them that lie before the camera, but for a few pixels.
+
+        over  [P] float64: how much nearer than the point along the view axis a splat must lie to count
+        """
+
+    def past_triangles(self, triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
+        """The same of opaque triangles [F, 3, 3] float32: 0 or 1 for each point, [P] float32."""
+
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
                       ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:
         """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order().

@@ -60,7 +60,7 @@ def sample_depths(triangles: np.ndarray, camera: Camera) -> np.ndarray:
     x = x0 + np.arange(width)[:, None] + points()[:, 0]
     y = y0 + np.arange(height)[:, None] + points()[:, 1]
     for corners in triangles.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]:
-        for part in _before_the_camera(corners, near):
+        for part in before_the_camera(corners, near):
             depth = part[:, 2]
             scale = 1.0 if camera.orthographic else 1 / depth
             px, py = part[:, 0] * scale * camera.fx + camera.cx, part[:, 1] * scale * camera.fy + camera.cy
@@ -83,7 +83,7 @@ def sample_depths(triangles: np.ndarray, camera: Camera) -> np.ndarray:
     return np.where(depths <= camera.far, depths, np.inf)
 
 
-def _before_the_camera(corners: np.ndarray, near: float) -> list[np.ndarray]:
+def before_the_camera(corners: np.ndarray, near: float) -> list[np.ndarray]:
     """The part of a triangle [3, 3] that lies no nearer than the near plane, as triangles."""
     out: list[np.ndarray] = []
     for a, b in zip(corners, np.roll(corners, -1, 0), strict=True):

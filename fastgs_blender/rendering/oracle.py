@@ -21,6 +21,7 @@ from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
 from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, Exposed, Layout
 from .looks import Look, graded, size_factor
+from .passing import past_splats, past_triangles
 from .quantities import Shown, shares
 
 T_STOP = 1e-4
@@ -331,6 +332,12 @@ class Oracle:
     def surface(self, triangles, camera):
         return sample_depths(triangles, camera).min(-1)
 
+    def past_splats(self, instances, camera, points, over):
+        layout = Layout(instances, False, plane=True)
+        with np.errstate(all="ignore"):
+            return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
+
+    past_triangles = staticmethod(past_triangles)
     front_to_back = staticmethod(order_in_numpy)
 
 

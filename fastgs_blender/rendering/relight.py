@@ -10,7 +10,7 @@ m                    which share of the lamps' light meshes let through; what th
 v                    which share meshes and splats let through
 
 The factor is on scene-linear colour.  It is put into the Gaussians' own colours, as seen from the camera, before they are blended: so every
-backend, pass and exposure has it, and nothing is random.  Shadows are looked up in depth pictures from points of each lamp (shadow.py).
+backend, pass and exposure has it, and nothing is random.  Shadows are looked up from points of each lamp (ways.py).
 """
 from __future__ import annotations
 
@@ -22,19 +22,19 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import SH, SH_C0, Features, decode, features_at, momentary
-from ..model.slicing import positions_at
 from .colour import linear_to_srgb, srgb_to_linear
+from .exposure import PLASTIC
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
 from .lamps import Lamp
-from .layout import Layout
 from .quantities import Shown
-from .shadow import Light, corners, view_from
+from .shadow import Light
+from .ways import Side, Ways
 
 REACH = 3.0
-"""Standard deviations along a lamp's rays by which a Gaussian may lie behind what the lamp sees and still be lit: it is a part of that."""
-NARROW = 0.5
-"""Cosine of the angle around its middle up to which one picture is taken from a lamp; six are where it shines farther around."""
+"""Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
+SPREAD = 4
+"""Places of a Gaussian that are looked at from a lamp, all its points together."""
 CELLS = 1 << 21
 """Cells over which normals are averaged, at the most."""
 SMOOTH = 2.0
@@ -48,7 +48,7 @@ class SceneLight:
     lamps   of the scene, each with the names of the instances that it lights; None: all
     meshes  triangles [F, 3, 3] in the world that cast shadows on splats, or None
     bias    how near to a surface nothing casts shadows on it, in units of the world
-    size    pixels of the longer side of the pictures from a lamp; of one with many points each has fewer
+    size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; of one with many points each has fewer
     """
 
     lamps: tuple[tuple[Lamp, frozenset[str] | None], ...]
@@ -71,10 +71,7 @@ class SceneLight:
             return list(instances)
         out = list(instances)
         surfaces = [_Surface(instances[number].viewed(camera), backend) for number in wanted]
-        points, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces]) for name in ("position", "normal", "axes"))
-        casting = [each for each in instances if len(each.model)]
-        names = np.repeat([each.instance.name for each in surfaces], [len(each.index) for each in surfaces])
-        arriving = self._arriving(points, normal, axes, names, casting, backend, progress)
+        arriving = self._arriving(_Spots(surfaces), [each for each in instances if len(each.model)], backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
         for number, surface, *light in zip(wanted, surfaces, *(np.split(each, ends) for each in arriving)):
             bare, meshes, all_ = light
@@ -85,79 +82,72 @@ class SceneLight:
             out[number] = surface.painted(instances[number], captured + lamps)
         return out
 
-    def _arriving(self, points, normal, axes, names, casting, backend, progress) -> list[np.ndarray]:
-        """The irradiance [P, 3] of points [P, 3] with unit normals [P, 3]: with nothing in the way, with meshes, with meshes and splats."""
-        total = [np.zeros((len(points), 3)) for _ in range(3)]
-        meshes = np.zeros((0, 3)) if self.meshes is None else self.meshes.reshape(-1, 3)
-        around = np.concatenate([corners(casting), meshes[np.unique([*meshes.argmin(0), *meshes.argmax(0)])] if len(meshes) else meshes])
+    def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> list[np.ndarray]:
+        """The irradiance [P, 3] of the spots: with nothing in the way, with meshes, with meshes and splats."""
+        total = [np.zeros((len(spots.position), 3)) for _ in range(3)]
+        ways = Ways(backend, casting, self.meshes)
         for number, (lamp, lights) in enumerate(self.lamps):
             count = len(lamp.light.points)
-            linked = np.ones(len(points), bool) if lights is None else np.isin(names, list(lights))
-            for k, place in enumerate(lamp.light.points):
-                share = lamp.share(k, points, normal) * linked / count
-                facing = np.flatnonzero(share)
-                past_meshes, past_splats = self._through(backend, casting, around, lamp.light, place, points[facing], axes[facing])
+            shares = np.stack([lamp.share(k, spots.position, spots.normal) for k in range(count)]) * spots.among(lights) / count
+            rows = np.flatnonzero(shares.any(0))
+            sides = [replace(side, rows=rows[side.rows]) for side in ways.sides(lamp.light, spots.position[rows])]
+            for k, share in enumerate(shares):
                 total[0] += np.outer(share, lamp.colour[k])
-                share[facing] *= past_meshes
-                total[1] += np.outer(share, lamp.colour[k])
-                share[facing] *= past_splats
-                total[2] += np.outer(share, lamp.colour[k])
+                past = [share.copy(), share]
+                for side in sides:
+                    for factor, through in zip(past, self._through(ways, lamp.light, k, side, spots), strict=True):
+                        factor[side.rows] *= through
+                for sums, factor in zip(total[1:], past, strict=True):
+                    sums += np.outer(factor, lamp.colour[k])
                 progress((number + (k + 1) / count) / len(self.lamps))
         return total
 
-    def _through(self, backend, casting, around, light, place, points, axes) -> tuple[np.ndarray, np.ndarray]:
-        """Which share [P] of the light from one of its points comes past the meshes, and past the splats, to points [P, 3]."""
-        meshes, splats = np.ones(len(points)), np.ones(len(points))
-        side = max(self.size // max(1, int(len(light.points) ** 0.25)), 64)
-        for rows in _directions(light, place, points):
-            eye, before = view_from(light, place, points[rows], around, side)
-            if eye is None:
-                continue
-            at, z = eye.pixels(before) - 0.5, before[:, 2] - self.bias
-            if self.meshes is not None:
-                meshes[rows] = 1 - _behind(backend.numpy(backend.surface(self.meshes, eye)), None, at, z)
-            if casting:
-                viewed = [each.viewed(eye) for each in casting]
-                buffers = backend.draw(viewed, eye, Layout(viewed, False), ("median",), lambda share: None)
-                depth, alpha = backend.numpy(buffers.probes["median"]), backend.numpy(buffers.alpha)
-                along = np.einsum("k,mkj->mj", eye.world_to_camera[2, :3], axes[rows])
-                splats[rows] = 1 - _behind(depth, alpha, at, z - REACH * np.sqrt(np.einsum("mj,mj->m", along, along)))
-        return meshes, splats
+    def _through(self, ways: Ways, light: Light, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray]:
+        """Which share of the light of a lamp's point comes past the meshes, and past all, to a side's spots: [M] each."""
+        count, rows = len(light.points), side.rows
+        towards = np.broadcast_to(light.points[number], (len(rows), 3)) if light.parallel else light.points[number] - spots.position[rows]
+        over, size = self.bias + REACH * spots.thickness(rows, towards), max(self.size // max(1, int(count ** 0.25)), 64)
+        meshes, splats = ways.past(light, number, side, spots.spread(rows, number, count), size, self.bias, over)
+        return meshes, meshes * splats
 
 
-def _directions(light: Light, place: np.ndarray, points: np.ndarray) -> list[np.ndarray]:
-    """Indices of those of the points [P, 3] that one picture from a place shows well: all of them, or those through each side of a cube."""
-    if light.parallel or not len(points):
-        return [np.arange(len(points))] if len(points) else []
-    towards = points - place
-    middle = (points.min(0) + points.max(0)) / 2 - place
-    if (towards @ middle >= NARROW * np.sqrt(np.einsum("pk,pk->p", towards, towards) * (middle @ middle))).all():
-        return [np.arange(len(points))]
-    axis = np.abs(towards).argmax(1)
-    side = 2 * axis + (towards[np.arange(len(points)), axis] > 0)
-    return [np.flatnonzero(side == number) for number in np.unique(side)]
+class _Spots:
+    """The Gaussians of some surfaces as spots that light falls on: position, normal and axes, as _Surface has them."""
 
+    def __init__(self, surfaces: list[_Surface]):
+        self.position, self.normal, self.axes = (np.concatenate([getattr(each, name) for each in surfaces]) for name in
+                                                 ("position", "normal", "axes"))
+        self._names = np.repeat([each.instance.name for each in surfaces], [len(each.index) for each in surfaces])
+        square = (self.axes * self.axes).sum(1)
+        self._inverse = self.axes / np.maximum(square, 1e-30)[:, None]
+        order = square.argsort(1)
+        self._wide = np.take_along_axis(self.axes, order[:, None, 1:], 2)
 
-def _behind(depth: np.ndarray, alpha: np.ndarray | None, at: np.ndarray, z: np.ndarray) -> np.ndarray:
-    """How much of what a depth picture [h, w] shows, of its opacity [h, w], lies before depths z [P] at pixels [P, 2]: [P], 0..1.
+    def among(self, names: frozenset[str] | None) -> np.ndarray:
+        """Which spots are of instances with these names [P] bool; None: all."""
+        return np.ones(len(self.position), bool) if names is None else np.isin(self._names, list(names))
 
-    Compared are the four pixels around, whose answers are mixed (percentage-closer filtering, Reeves 1987).
-    """
-    height, width = depth.shape
-    with np.errstate(invalid="ignore"):
-        x, y = np.clip(np.nan_to_num(at), 0, (width - 1.001, height - 1.001)).T
-    i, j = y.astype(int), x.astype(int)
-    v, u = y - i, x - j
-    out = np.zeros(len(z))
-    for row, column, weight in ((i, j, (1 - v) * (1 - u)), (i, j + 1, (1 - v) * u), (i + 1, j, v * (1 - u)), (i + 1, j + 1, v * u)):
-        out += weight * (depth[row, column] < z) * (1.0 if alpha is None else alpha[row, column])
-    return out
+    def thickness(self, rows: np.ndarray, towards: np.ndarray) -> np.ndarray:
+        """The standard deviation [M] of the spots `rows` along lines through their middles with directions [M, 3]."""
+        along = np.einsum("mkj,mk->mj", self._inverse[rows], towards)
+        return np.linalg.norm(towards, axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-30)
+
+    def spread(self, rows: np.ndarray, number: int, count: int) -> np.ndarray:
+        """Places [S, M, 3] all over the spots `rows`, from which the point `number` of a lamp of `count` points is looked at: with few
+        points several, so that a shadow's edge crosses a spot little by little."""
+        each = max(SPREAD // count, 1)
+        k = number * each + np.arange(each)
+        radius, turn = np.sqrt(k / PLASTIC % 1), 2 * np.pi * (k / PLASTIC**2 % 1)
+        u, v = (radius * side(turn) for side in (np.cos, np.sin))
+        wide = self._wide[rows]
+        return self.position[rows] + u[:, None, None] * wide[..., 0] + v[:, None, None] * wide[..., 1]
 
 
 class _Surface:
     """The Gaussians of an instance that its camera shows, as a surface in the world.
 
     index     [M]     which of the model's
+    local     [M, 3]  their places in the model's space
     position  [M, 3]
     normal    [M, 3]  unit vectors, turned to the camera, smoothed
     axes      [M, 3, 3]  as columns, each as long as its standard deviation
@@ -167,10 +157,9 @@ class _Surface:
         self.instance = instance
         self.index = np.sort(backend.front_to_back([instance], instance.camera)).astype(np.int64)
         shown = Shown(instance, self.index)
-        self.position = shown.world
-        self.axes = shown.spread
-        size = np.sqrt((self.axes * self.axes).sum(1).max(1))
-        self.normal = _smoothed(shown.normal, shown.facing, self.position, SMOOTH * float(np.median(size)) if len(size) else 1.0)
+        self.local, self.position, self.axes = shown.position, shown.world, shown.spread
+        size = float(np.exp(np.median(instance.model.scale.max(1)))) * instance.scale  # of all, so that it does not change with the view
+        self.normal = _smoothed(shown.normal, shown.facing, self.position, SMOOTH * size)
 
     def painted(self, instance: Instance, gain: np.ndarray) -> Instance:
         """The instance with its colours times gains [M, 3], scene linear, as the camera sees them."""
@@ -178,7 +167,7 @@ class _Surface:
         look = momentary(model.appearance)
         mu_tau = model.mu_tau[index].astype(np.float64)
         features = features_at(model.appearance, model.features[index], instance.t, mu_tau)
-        ray = positions_at(model, instance.t, index) - viewed.camera_to_model[:3, 3]
+        ray = self.local - viewed.camera_to_model[:3, 3]
         ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-30)
         unit = 1.0
         if isinstance(look, Features):
@@ -211,15 +200,16 @@ def _smoothed(normal: np.ndarray, facing: np.ndarray, position: np.ndarray, cell
     if not len(position):
         return normal
     low, high = np.percentile(position, (1, 99), axis=0)
-    extent = np.maximum(high - low, 1e-9)
-    cell = max(cell, float(np.cbrt(np.prod(extent + cell) / CELLS)))
-    count = np.ceil(extent / cell).astype(np.int64) + 2
+    least = max(float(np.cbrt(np.prod(high - low + cell) / CELLS)), 1e-9)
+    cell *= 2 ** max(np.ceil(np.log2(least / max(cell, 1e-30))), 0)
+    low = np.floor(low / cell) * cell  # cells stay where they are while things move: what stands still does not flicker
+    count = np.ceil((high - low) / cell).astype(np.int64) + 2
     at = np.clip((position - low) / cell + 0.5, 0, count - 1.001)  # what lies far outside joins the cells at the border
     first = at.astype(np.int64)
     share, place = at - first, first @ np.array([count[1] * count[2], count[2], 1])
-    counted, total = (normal * facing[:, None]).T, np.zeros((3, int(np.prod(count))))
-    corners = [(np.prod(np.where(corner, share, 1 - share), 1), place + (corner[0] * count[1] + corner[1]) * count[2] + corner[2])
-               for corner in np.ndindex(2, 2, 2)]
+    counted, total, (x, y, z) = (normal * facing[:, None]).T, np.zeros((3, int(np.prod(count)))), share.T
+    corners = [((x if i else 1 - x) * (y if j else 1 - y) * (z if k else 1 - z), place + (i * count[1] + j) * count[2] + k)
+               for i, j, k in np.ndindex(2, 2, 2)]
     for weight, where in corners:
         for axis in range(3):
             total[axis] += np.bincount(where, weight * counted[axis], total.shape[1])

@@ -9,8 +9,11 @@ from ...model.appearance import RGB, Features
 from ...model.gaussians import GaussianModel
 from ...rendering.api import render
 from ...rendering.importance import importance_rank
-from ...rendering.instances import Instance
+from ...rendering.instances import Instance, ObjectSettings
+from ...rendering.lamps import Lamp
 from ...rendering.passes import PassSettings
+from ...rendering.relight import SceneLight
+from ...rendering.shadow import Light
 from ...rendering.visibility import order
 from . import cache
 
@@ -28,6 +31,8 @@ def compile_all(progress=lambda fraction: None) -> None:
         render(camera=camera, backend="cpu", **job)
         progress((i + 1) / len(jobs))
     render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
+    sun = SceneLight(((Lamp(Light.sun((0, 0, -1)), (1, 1, 1)), None),), np.eye(3, dtype=np.float32)[None])
+    render([Instance(models[0], np.eye(4), 0.0, ObjectSettings(lamp_light=1.0))], camera, backend="cpu", settings=PassSettings(light=sun))
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
     order([instance], camera)
     order([instance], camera, 0.5, importance_rank)

@@ -1,0 +1,65 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What Scene Light costs: the processor time of a frame with lamps and shadows, divided by that of the plain frame; both in turn.
+
+    python benchmarks/scene_light.py [--gaussians 60000] [--size 960x540] [--runs 3]
+
+Splats and a mesh of 3600 triangles throw shadows.  A sun may cost 3 plain frames, and an area lamp of 16 samples 12: the last column says
+how much of that they need.  The area lamp stands above everything, and then in the middle, where it shines to all sides.
+"""
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+ROOT = Path(__file__).resolve().parents[1]
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+
+from features import T, cost, sheet  # noqa: E402
+from raster_cpu import scene  # noqa: E402
+
+import fastgs_blender as fg  # noqa: E402
+from fastgs_blender.rendering.instances import Instance, ObjectSettings  # noqa: E402
+from fastgs_blender.rendering.lamps import Lamp, flat  # noqa: E402
+from fastgs_blender.rendering.passes import PassSettings  # noqa: E402
+from fastgs_blender.rendering.relight import SceneLight  # noqa: E402
+from fastgs_blender.rendering.shadow import Light  # noqa: E402
+
+LIT = ObjectSettings(captured_light=0.2, lamp_light=1.0, shadows=1.0)
+MIDDLE, UP = np.array([0, 0, 6.0]), np.array([0, -1.0, 0])
+
+
+def area(height: float) -> Lamp:
+    """An area lamp of 16 points so far above the middle of the scene, which shines downwards."""
+    lamp = Light.rectangle(MIDDLE + height * UP, (0.5, 0, 0), (0, 0, 0.5), 16)
+    return Lamp(lamp, np.full(3, 10 * height**2), -UP, flat())
+
+
+def main():
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--gaussians", type=int, default=60_000)
+    parser.add_argument("--size", default="960x540")
+    parser.add_argument("--runs", type=int, default=3)
+    args = parser.parse_args()
+    width, height = (int(side) for side in args.size.split("x"))
+    model, camera = scene(args.gaussians, width, height)
+    model, meshes = replace(model, clip=fg.Clip(60)), sheet(60, 30) + np.float32([0, -2, 0])
+    sun = Light.sun((0.5, -1, -0.3), samples=1)
+    lamps = {"a sun": (Lamp(sun, np.full(3, 3.0)), 3), "an area lamp of 16 samples, above": (area(8.0), 12),
+             "an area lamp of 16 samples, in the middle": (area(1.0), None)}
+    fg.render(model, camera, T)
+    print(f"{args.gaussians:,} Gaussians, {width} x {height}: cost in plain frames")
+    lit = [Instance(model, np.eye(4), T, LIT)]
+    found = {name: ({"model": lit, "settings": PassSettings(light=SceneLight(((lamp, None),), meshes))}, most)
+             for name, (lamp, most) in lamps.items()}
+    found["lamps in the scene that light no object"] = {"settings": PassSettings(light=SceneLight(((Lamp(sun, np.ones(3)), None),)))}, 1
+    for name, (options, most) in found.items():
+        ratio = cost(model, camera, options, args.runs)
+        print(f"{name:44} {ratio:6.2f}" + (f"   {ratio / most:.0%} of what it may cost" if most else ""), flush=True)
+
+
+if __name__ == "__main__":
+    main()

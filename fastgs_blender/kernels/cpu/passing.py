@@ -1,0 +1,218 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""How much of the light from a camera's place comes to points: past splats, and past triangles (rendering/passing.py).
+
+Splats and triangles are listed by tile, as for a picture; the points of a tile ask its list alone.
+"""
+from __future__ import annotations
+
+import numpy as np
+from numba import float32
+
+from ...rendering.holdout import EDGE
+from ...rendering.layout import Layout
+from ...rendering.passing import BEHIND
+from ...util.threads import ranges, run, thread_count
+from .. import asserts
+from . import raster
+from .holdout import Occluder
+from .jit import inline, kernel
+from .rasterise import ENTRIES, TILES
+from .sort import order_by
+from .splats import project_instances
+from .tile_lists import TileLists, list_tiles
+
+TILE = raster.TILE
+CHUNK = 16_384
+"""Points in one piece of work."""
+BATCH = 16
+"""Points of a tile that go past its splats together, of neighbouring depths."""
+DARK = 1e-3
+"""Share of the light at which it counts as stopped."""
+EXP2 = (0.999999945, 0.693143204, 0.240179499, 0.0552996223, 0.00921088407, 0.00094755432)
+"""2^x for x in -1..0 as a polynomial, to 1e-6."""
+
+
+def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """PictureBackend.past_splats()."""
+    asserts.past_splats(points, over)
+    layout = Layout(instances, False, plane=True)
+    splats = project_instances(instances, camera, layout)
+    listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera)
+    seen, begins, asked = _by_tile(listing.grid, camera, points, over)
+    out = np.ones(len(points), np.float32)
+    for first, last in listing.bands(ENTRIES):
+        lists = list_tiles(listing.segments, listing.counts, first, last)
+        rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, raster.CHANNEL + layout.plane, begins, asked, seen,
+                camera.width / 2, camera.height / 2, out)
+        run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first))
+    return out
+
+
+def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
+    """PictureBackend.past_triangles()."""
+    asserts.past_splats(points, over)
+    occluder = Occluder.of(triangles, camera)
+    seen, begins, asked = _by_tile(occluder.listing.grid, camera, points, over)
+    out = np.ones(len(points), np.float32)
+    rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
+    run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
+    return out
+
+
+def _pieces(tiles: int) -> list[tuple[int, int]]:
+    """A number of tiles in pieces of work: few, because there are many such pictures, and they are small."""
+    return ranges(tiles, max(TILES, -(-tiles // (4 * thread_count()))))
+
+
+def _by_tile(grid, camera, points: np.ndarray, over: np.ndarray):
+    """Points by tile: x and y in pixels and the depth that counts of each [P, 3], where each tile's points begin in a list of their
+    indices, [tiles + 1], and the list, the nearest first.  Points beside the window are in the nearest tile, those behind the camera in
+    none."""
+    seen, tile = np.zeros((len(points), 3)), np.empty(len(points), np.int32)
+    rest = (points, over, np.ascontiguousarray(camera.world_to_camera[:3]),
+            tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid, seen, tile)
+    run(lambda a, b: place(a, b, *rest), ranges(len(points), CHUNK))
+    order = order_by(seen[:, 2].astype(np.float32), np.arange(len(points), dtype=np.int32))
+    return seen, *list_points(order, tile, grid[2] * grid[3])
+
+
+@kernel
+def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, seen, tile):
+    """Where the points first..last are seen, and in which tile, as _by_tile() says; columns * rows for those in none."""
+    fx, fy, cx, cy = lens
+    for p in range(first, last):
+        x = view[0, 0] * points[p, 0] + view[0, 1] * points[p, 1] + view[0, 2] * points[p, 2] + view[0, 3]
+        y = view[1, 0] * points[p, 0] + view[1, 1] * points[p, 1] + view[1, 2] * points[p, 2] + view[1, 3]
+        z = view[2, 0] * points[p, 0] + view[2, 1] * points[p, 1] + view[2, 2] * points[p, 2] + view[2, 3]
+        tile[p] = columns * rows
+        if not z > BEHIND:
+            continue
+        unit = 1.0 if orthographic else 1.0 / z
+        seen[p, 0], seen[p, 1], seen[p, 2] = fx * x * unit + cx, fy * y * unit + cy, z - over[p]
+        column = np.int64(min(max(seen[p, 0] / TILE - tile_x, 0.0), columns - 1.0))
+        tile[p] = np.int64(min(max(seen[p, 1] / TILE - tile_y, 0.0), rows - 1.0)) * columns + column
+
+
+@kernel
+def list_points(order, tile, tiles):
+    """A counting sort: where each tile's points begin in a list, and the list of the points' indices, in an order."""
+    begins = np.zeros(tiles + 2, np.int64)
+    for p in range(len(tile)):
+        begins[tile[p] + 1] += 1
+    for k in range(tiles + 1):
+        begins[k + 1] += begins[k]
+    asked, cursor = np.empty(len(tile), np.int32), begins[:-1].copy()
+    for p in order:
+        asked[cursor[tile[p]]] = p
+        cursor[tile[p]] += 1
+    return begins[:-1].copy(), asked
+
+
+@inline
+def exp2(x):
+    """2^x for x in -8..0, without a branch."""
+    x = x * float32(0.125)
+    y = float32(EXP2[5])
+    y = y * x + float32(EXP2[4])
+    y = y * x + float32(EXP2[3])
+    y = y * x + float32(EXP2[2])
+    y = y * x + float32(EXP2[1])
+    y = y * x + float32(EXP2[0])
+    y *= y
+    y *= y
+    return y * y
+
+
+@kernel
+def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
+                out):
+    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
+    state, splat = np.empty((4, BATCH), np.float32), np.empty((14, 0), np.float32)
+    px, py, limit, light = state[0], state[1], state[2], state[3]
+    for tile in range(first, last):
+        total = starts[tile + 1] - starts[tile]
+        if total == 0 or begins[tile] == begins[tile + 1]:
+            continue
+        left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
+        if splat.shape[1] < total:
+            splat = np.empty((14, 2 * total), np.float32)
+        gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, splat)
+        for begin in range(begins[tile], begins[tile + 1], BATCH):
+            count, farthest = min(BATCH, begins[tile + 1] - begin), float32(-np.inf)
+            west, east, north, south = float32(TILE), float32(0.0), float32(TILE), float32(0.0)
+            for j in range(BATCH):
+                light[j], px[j], py[j], limit[j] = float32(1.0), float32(0.0), float32(0.0), float32(-np.inf)
+                if j < count:
+                    p = asked[begin + j]
+                    # lists hold what touches the centres of a tile's pixels: a point beside them is moved there
+                    px[j] = min(max(seen[p, 0] - left, 0.5), TILE - 0.5)
+                    py[j] = min(max(seen[p, 1] - top, 0.5), TILE - 0.5)
+                    limit[j] = seen[p, 2]
+                    farthest = max(farthest, limit[j])
+                    west, east, north, south = min(west, px[j]), max(east, px[j]), min(north, py[j]), max(south, py[j])
+            blended = 0
+            for k in range(total):
+                if not splat[4, k] < farthest:
+                    break
+                if splat[0, k] < west or splat[1, k] > east or splat[2, k] < north or splat[3, k] > south:
+                    continue
+                depth, mx, my, a, b, c = splat[4, k], splat[5, k], splat[6, k], splat[7, k], splat[8, k], splat[9, k]
+                z, slope_x, slope_y, peak = splat[10, k], splat[11, k], splat[12, k], splat[13, k]
+                i = ids[starts[tile] + k]
+                most, cut = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
+                for j in range(BATCH):
+                    dx, dy = px[j] - mx, py[j] - my
+                    u, v = a * dx + b * dy, c * dy
+                    exponent = peak - u * u - v * v
+                    near = max(depth, z + slope_x * px[j] + slope_y * py[j])
+                    alpha = min(exp2(max(exponent, float32(-8.0))), most)
+                    light[j] *= float32(1.0) - (alpha if (exponent >= cut) & (near < limit[j]) else float32(0.0))
+                blended += 1
+                if blended % 8 == 0:
+                    brightest = float32(0.0)
+                    for j in range(count):
+                        brightest = max(brightest, light[j])
+                    if brightest < DARK:
+                        break
+            for j in range(count):
+                out[asked[begin + j]] = light[j]
+
+
+@inline
+def gather(start, total, ids, geometry, attributes, plane, left, top, from_middle_x, from_middle_y, splat):
+    """What transmitted() reads of the splats of a tile's list, side by side in memory [14, splats], pixels counted from its corner."""
+    for k in range(total):
+        i = ids[start + k]
+        mx, my = geometry[i, raster.MEAN_X] - left, geometry[i, raster.MEAN_Y] - top
+        rx, ry = attributes[i, raster.RADIUS_X], attributes[i, raster.RADIUS_Y]
+        splat[0, k], splat[1, k], splat[2, k], splat[3, k] = mx + rx, mx - rx, my + ry, my - ry
+        splat[4, k], splat[5, k], splat[6, k] = attributes[i, raster.DEPTH], mx, my
+        splat[7, k], splat[8, k], splat[9, k] = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+        slope_x, slope_y = attributes[i, plane + 1], attributes[i, plane + 2]
+        splat[10, k] = attributes[i, plane] + slope_x * from_middle_x + slope_y * from_middle_y
+        splat[11, k], splat[12, k], splat[13, k] = slope_x, slope_y, attributes[i, raster.LOG2_OPACITY]
+
+
+@kernel
+def open_ways(first, last, starts, ids, screen, orthographic, begins, asked, seen, out):
+    """Out [P] is 0 for those points of the tiles first..last before which a triangle lies."""
+    for tile in range(first, last):
+        for q in range(begins[tile], begins[tile + 1]):
+            p = asked[q]
+            x, y, limit = seen[p, 0], seen[p, 1], seen[p, 2]
+            for k in range(starts[tile], starts[tile + 1]):
+                corner = screen[ids[k]]
+                area, depth, above, below = 0.0, 0.0, True, True
+                for i in range(3):
+                    j, m = (i + 1) % 3, (i + 2) % 3
+                    ax, ay, bx, by = corner[j, 0] - x, corner[j, 1] - y, corner[m, 0] - x, corner[m, 1] - y
+                    part, slack = ax * by - bx * ay, EDGE * (abs(ay - by) + abs(ax - bx))
+                    above, below = above and part >= -slack, below and part <= slack
+                    area += part
+                    depth += part * (1.0 / corner[i, 2] if orthographic else corner[i, 2])
+                if not (above or below) or area == 0.0:
+                    continue
+                depth /= area
+                if (depth if orthographic else 1.0 / depth) < limit:
+                    out[p] = 0.0
+                    break

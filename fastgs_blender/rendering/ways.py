@@ -1,0 +1,180 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The ways of light: which share of what a point of a lamp sends comes past meshes and splats to points of a scene.
+
+A camera stands at the point of the lamp, and the scene's points are asked for one by one (passing.py).  So shadows have no pixels of their
+own: they are as sharp as what throws them, and they do not flicker while things move.
+"""
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from ..model.appearance import RGB
+from ..model.slicing import positions_at
+from .instances import Instance
+from .passing import BEHIND
+
+WIDEST = 8.0
+"""Tangent up to which a picture from a point of a lamp reaches to each side."""
+NARROW = 0.4
+"""Cosine of the angle around its middle up to which one picture is taken from a lamp; six are where it shines farther around."""
+REACH = 3.5
+"""Standard deviations up to which a Gaussian may throw a shadow."""
+
+
+@dataclass(frozen=True, eq=False)
+class Side:
+    """What one picture from each point of a lamp shows: which of the points that may be lit, and the instances, or parts of them, that may
+    throw shadows on these."""
+
+    rows: np.ndarray
+    instances: list[Instance]
+
+
+class Ways:
+    """A scene as light crosses it.
+
+    backend    a loaded backend (util/backends.py)
+    instances  whose splats throw shadows
+    meshes     triangles [F, 3, 3] float32 in the world that throw shadows, or None
+    """
+
+    def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None):
+        self.backend, self.meshes = backend, meshes
+        self.instances = [_bare(each) for each in instances if len(each.model)]
+
+    def sides(self, light: Any, points: np.ndarray) -> list[Side]:
+        """The pictures from each point of a lamp (shadow.Light) that show points [P, 3] well: one, or those through the sides of a cube."""
+        every = np.arange(len(points))
+        if light.parallel or not len(points):
+            return [Side(every, self.instances)] if len(points) else []
+        centre = light.points.mean(0)
+        radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre
+        middle = _bounds(towards).mean(0)
+        if (towards @ middle >= NARROW * np.sqrt(np.einsum("pk,pk->p", towards, towards) * (middle @ middle))).all():
+            return [Side(every, self.instances)]
+        axis = np.abs(towards).argmax(1)
+        side = 2 * axis + (towards[every, axis] > 0)
+        return [Side(np.flatnonzero(side == number), self._through(centre, radius, number // 2, 2 * (number % 2) - 1))
+                for number in np.unique(side).tolist()]
+
+    def past(self, light: Any, number: int, side: Side, places: np.ndarray, size: int, over_meshes: float = 0.0,
+             over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Which share of the light of a lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
+
+        side    of these points
+        places  [S, P, 3] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
+                of the first
+        size   pixels of the longer side of the picture, or of a right angle of it
+        over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
+        """
+        points, count = places.reshape(-1, 3), places.shape[1]
+        meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
+        eye = view_from(light.parallel, light.points[number], points, self._around, size)
+        if eye is None:
+            return meshes, splats
+        if self.meshes is not None and len(self.meshes):
+            found = self.backend.past_triangles(self.meshes, eye, points, np.full(len(points), float(over_meshes)))
+            meshes = self.backend.numpy(found).reshape(places.shape[:2]).mean(0)
+        viewed = [each.viewed(eye) for each in side.instances]
+        if viewed:
+            over = np.broadcast_to(np.float64(over_splats), count).copy()
+            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[0], over))
+        return meshes, splats
+
+    @cached_property
+    def _around(self) -> np.ndarray:
+        """Points [Q, 3] around all that may throw shadows."""
+        found = [_corners(self.instances)]
+        if self.meshes is not None and len(self.meshes):
+            found.append(_bounds(self.meshes.reshape(-1, 3))[_CHOICES, np.arange(3)])
+        return np.concatenate(found)
+
+    @cached_property
+    def _balls(self) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of each instance, its Gaussians' centres [N, 3] in the world and their reach [N]."""
+        found = []
+        for each in self.instances:
+            centre = positions_at(each.model, each.t) @ each.placement[:3, :3].T + each.placement[:3, 3]
+            size = REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
+            found.append((centre, np.maximum(size * np.exp(each.model.scale.max(1).astype(np.float64)), each.settings.min_size)))
+        return found
+
+    def _through(self, centre: np.ndarray, radius: float, axis: int, sign: int) -> list[Instance]:
+        """The instances with those Gaussians alone that may be seen through a side of the cube around a lamp."""
+        found = []
+        for each, (position, reach) in zip(self.instances, self._balls, strict=True):
+            towards = position - centre
+            one, other = (np.abs(towards[:, k]) for k in range(3) if k != axis)
+            index = np.flatnonzero(np.maximum(one, other) - 1.5 * reach - 2 * radius <= sign * towards[:, axis])
+            if len(index):
+                found.append(each.part(index))
+        return found
+
+
+def _bare(instance: Instance) -> Instance:
+    """The instance without colours, which are nothing to shadows."""
+    model = instance.model
+    return replace(instance, model=replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), origin=instance.source)
+
+
+def _bounds(points: np.ndarray) -> np.ndarray:
+    """The least and the largest coordinates [2, 3] of points [P, 3]: column by column, which NumPy does ten times as fast."""
+    return np.array([[column.min(), column.max()] for column in points.T]).T
+
+
+def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int) -> Camera | None:
+    """The camera at a point of a lamp that sees all points [P, 3], None where they all lie behind it.
+
+    around  [Q, 3] points around what may throw shadows on them: the rays of a sun begin before these
+    size    pixels of the picture's longer side, or of a right angle where it is wider
+    """
+    low, high = _bounds(points)
+    middle = (low + high) / 2
+    forward = -place if parallel else middle - place
+    forward = forward / max(np.linalg.norm(forward), 1e-30)
+    right, down = across(forward)
+    axes = np.stack([right, down, forward])
+    if parallel:  # from before everything
+        reach = max(np.linalg.norm(high - low) / 2, np.linalg.norm(around - middle, axis=1).max(initial=0))
+        place = middle - 4 * reach * forward
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = axes, -axes @ place
+    x, y, z = axes @ (points - place).T
+    if not parallel:
+        front = z > BEHIND
+        if not front.any():
+            return None
+        x, y = (np.clip(side[front] / z[front], -WIDEST, WIDEST) for side in (x, y))
+    low, high = _bounds(np.stack([x, y], 1))
+    extent = max((high - low).max(), 1e-9 * max(np.abs([low, high]).max(), 1))
+    focal = size / (extent if parallel else min(extent, 2.0))
+    width, height = np.ceil((high - low) * focal).astype(int) + 3
+    cx, cy = 1.5 - low * focal
+    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0)
+
+
+def across(direction: np.ndarray) -> np.ndarray:
+    """Two unit vectors [2, 3] that make a right-handed system with a unit vector."""
+    first = np.cross(np.eye(3)[np.abs(direction).argmin()], direction)
+    first /= np.linalg.norm(first)
+    return np.stack([first, np.cross(direction, first)])
+
+
+def _corners(instances: Sequence[Instance]) -> np.ndarray:
+    """The corners [8 K, 3] of the boxes around the Gaussians of K instances, twice as large for their motion, in the world."""
+    found = [np.zeros((0, 3))]
+    for instance in instances:
+        low, high = (bound.astype(np.float64) for bound in (instance.model.position.min(0), instance.model.position.max(0)))
+        middle, half = (low + high) / 2, high - low
+        found.append((middle + _SIGNS * half) @ instance.placement[:3, :3].T + instance.placement[:3, 3])
+    return np.concatenate(found)
+
+
+_CHOICES = np.stack(np.meshgrid(*[(0, 1)] * 3), -1).reshape(-1, 3)
+_SIGNS = 2 * _CHOICES - 1

@@ -1,0 +1,89 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Which share of a lamp's light comes past splats and meshes to points."""
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import fastgs_blender as fg
+from fastgs_blender.rendering.instances import Instance
+from fastgs_blender.rendering.shadow import Light
+from fastgs_blender.rendering.ways import Ways
+from fastgs_blender.util.backends import load_backend
+
+OPACITY = 0.4
+
+
+def veil(depth=2.0, opacity=OPACITY, flat=1e-3, turn=(1.0, 0, 0, 0)):
+    """One large Gaussian on the way of light along z, of the same alpha all over what the tests look at."""
+    return fg.GaussianModel(position=[[0, 0, depth]], rotation=[turn], scale=np.log([[40, 40, flat]]), features=[[0, 0, 0]],
+                            opacity=[np.log(opacity / (1 - opacity))])
+
+
+def past(models, points, light, meshes=None, backend="cpu", **over):
+    """The shares of the light that come past meshes and splats to points, of each point of a lamp the mean."""
+    ways = Ways(load_backend(backend), [Instance(model, np.eye(4), 0.0) for model in models], meshes)
+    points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
+    for side in ways.sides(light, points):
+        for k in range(len(light.points)):
+            found[:, side.rows] += np.array(ways.past(light, k, side, points[None, side.rows], 256, **over)) / len(light.points)
+    return found
+
+
+SUN, LAMP = Light.sun((0, 0, -1)), Light([[0.0, 0, 0]])
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP])
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_veils_take_their_share_of_the_light_each(light, backend):
+    """A translucent splat leaves 1 - alpha; two leave the product; what lies before them keeps all."""
+    points = [[0.1, 0, 1.0], [0.1, 0, 2.5], [0.0, 0.1, 4.0]]
+    _, splats = past([veil(2.0), veil(3.0)], points, light, backend=backend)
+    assert np.allclose(splats, [1, 1 - OPACITY, (1 - OPACITY) ** 2], atol=2e-3)
+
+
+@pytest.mark.parametrize("angle", [0.0, 0.8, 1.3])
+def test_a_flat_surface_does_not_shade_itself(angle):
+    """Whatever its angle to the light: places on a wide disc, and its neighbours in the same plane, lie in the light."""
+    turn = np.array([np.cos(angle / 2), np.sin(angle / 2), 0, 0])
+    along = np.array([0, np.cos(angle), np.sin(angle)])
+    disc = replace(veil(5.0, 0.99, 1e-4, turn), scale=np.log(np.float32([[0.3, 0.3, 1e-4]])))
+    other = replace(disc, position=np.float32([[0, 0, 5] + 0.2 * along]))
+    points = np.array([[0, 0, 5] + s * along + [x, 0, 0] for s in (-0.2, 0, 0.2) for x in (-0.1, 0, 0.1)])
+    assert past([disc, other], points, LAMP, over_splats=0.02)[1].min() > 0.99
+    assert past([disc, other], points + [0, 0, 1], LAMP, over_splats=0.02)[1].min() < 0.1
+
+
+@given(x=st.floats(-2, 2), y=st.floats(-2, 2), z=st.floats(1.5, 4), parallel=st.booleans())
+@settings(max_examples=40, deadline=None)
+def test_triangles_stop_light_where_the_ray_meets_them(x, y, z, parallel):
+    """Against the intersection of a ray and a triangle in space."""
+    corners = np.float32([[-1.03, -0.97, 2], [1.21, -0.8, 2.5], [0.05, 1.1, 1.5]])
+    point = np.array([x, y, z])
+    direction = np.array([0, 0, 1.0]) if parallel else point
+    start = point - 10 * direction if parallel else np.zeros(3)
+    u, v = corners[1] - corners[0], corners[2] - corners[0]
+    s, a, b = np.linalg.solve(np.stack([direction, -u, -v], 1).astype(float), corners[0] - start)
+    reach = (10 - s) if parallel else (1 - s)
+    inside = min(a, b, 1 - a - b)
+    if min(abs(inside), abs(reach)) < 1e-3:
+        return
+    expected = 0 if inside > 0 and s > 0 and reach > 0 else 1
+    for backend in ("cpu", "reference"):
+        assert past([], [point, [0, 0, 9.0]], SUN if parallel else LAMP, corners[None], backend)[0][0] == expected
+
+
+def test_kernels_agree_with_the_oracle():
+    """Many splats from a lamp among them, which looks through all sides of a cube, and from a sun."""
+    rng = np.random.default_rng(3)
+    n = 300
+    model = fg.GaussianModel(position=rng.uniform(-2, 2, (n, 3)), rotation=rng.normal(size=(n, 4)), opacity=rng.normal(0, 2, n),
+                             scale=rng.uniform(-3.5, -1.5, (n, 3)), features=np.zeros((n, 3)))
+    points = rng.uniform(-2.5, 2.5, (200, 3))
+    meshes = rng.uniform(-2, 2, (5, 3, 3)).astype(np.float32)
+    for light in (Light([[0.1, 0.2, 0.0]]), Light.sun((1, 2, 3))):
+        cpu, oracle = (past([model], points, light, meshes, backend) for backend in ("cpu", "reference"))
+        assert np.array_equal(cpu[0], oracle[0])
+        assert np.abs(cpu[1] - oracle[1]).mean() < 2e-3 and np.mean(np.abs(cpu[1] - oracle[1]) > 0.02) < 0.02
