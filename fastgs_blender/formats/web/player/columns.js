@@ -13,43 +13,43 @@ const CRC = Uint32Array.from({ length: 256 }, (_, n) => {
 
 /** The orders of a segment's Gaussians by columns that are known already: columns.Order. */
 export class Order {
-  constructor() {
+  constructor(count) {
     this.columns = new Map();
     this.orders = new Map();
+    this.before = new Uint8Array(count);
+    this.together = new Uint8Array(count);
   }
 
   /** Numbers around a centre have become known; null: another array begins. */
   follow(codes, centre) {
-    const before = this.columns.get("together");
     for (const name of ["before", "together"]) {
       this.orders.delete(name);
-      this.columns.delete(name);
+      if (codes) this.columns.set(name, this[name]);
+      else this.columns.delete(name);
     }
-    if (!codes) return;
-    const length = new Int32Array(codes.length), together = new Int32Array(codes.length);
-    for (let n = 0; n < codes.length; n++) {
-      length[n] = 32 - Math.clz32(Math.fround(Math.abs(codes[n] - centre)));
-      together[n] = Math.min((before ? before[n] : 0) + length[n], MOST_VALUES - 1);
+    const { before, together } = this;
+    if (!codes) together.fill(0);
+    else for (let n = 0; n < codes.length; n++) {
+      before[n] = 32 - Math.clz32(Math.fround(Math.abs(codes[n] - centre)));
+      together[n] = Math.min(together[n] + before[n], MOST_VALUES - 1);
     }
-    this.columns.set("before", length);
-    this.columns.set("together", together);
   }
 
   /** Indices that sort the Gaussians by a column; equal ones stay in their order. */
   by(name) {
     let order = this.orders.get(name);
     if (!order) {
-      const column = this.columns.get(name);
+      const column = this.columns.get(name), count = column.length;
       let low = Infinity, high = -Infinity;
-      for (const value of column) {
-        if (value < low) low = value;
-        if (value > high) high = value;
+      for (let n = 0; n < count; n++) {
+        low = Math.min(low, column[n]);
+        high = Math.max(high, column[n]);
       }
-      const starts = new Uint32Array(column.length ? Math.min(high - low, 65535) + 2 : 1);
-      for (const value of column) starts[Math.min(value - low, 65535) + 1]++;
+      const starts = new Uint32Array(count ? Math.min(high - low, 65535) + 2 : 1);
+      for (let n = 0; n < count; n++) starts[Math.min(column[n] - low, 65535) + 1]++;
       for (let k = 1; k < starts.length; k++) starts[k] += starts[k - 1];
-      order = new Uint32Array(column.length);
-      for (let n = 0; n < column.length; n++) order[starts[Math.min(column[n] - low, 65535)]++] = n;
+      order = new Uint32Array(count);
+      for (let n = 0; n < count; n++) order[starts[Math.min(column[n] - low, 65535)]++] = n;
       this.orders.set(name, order);
     }
     return order;
@@ -76,29 +76,33 @@ export function unpacked(data, { name, crc, centre, mapped, context }, count, or
     at += size;
     return raw.subarray(at - size, at);
   };
-  let symbols = mapped ? new Uint8Array(count) : take(count);
-  if (mapped) {
-    const map = take((count + 7) >> 3);
-    let shown = 0;
-    for (let n = 0; n < count; n++) shown += bit(map, n);
-    const listed = take(shown);
-    for (let n = 0, k = 0; n < count; n++) if (bit(map, n)) symbols[n] = listed[k++];
-  }
-  const numbers = new Uint32Array(symbols), beyond = Array.from({ length: LAST - FIRST + 1 }, () => []);
+  const numbers = mapped ? scattered(take((count + 7) >> 3), count, take) : Uint32Array.from(take(count));
+  const sizes = new Uint32Array(LAST - FIRST + 1);
+  for (let n = 0; n < count; n++) if (numbers[n] >= DIRECT) sizes[(numbers[n] - DIRECT) >> 2]++;
+  const places = Array.from(sizes, (size) => new Uint32Array(size)), ends = new Uint32Array(sizes.length);
   for (let n = 0; n < count; n++) {
-    if (symbols[n] < DIRECT) continue;
-    const power = (symbols[n] - DIRECT) >> 2;
-    numbers[n] = (((symbols[n] - DIRECT) & 3) | 4) << (power + FIRST - 2);
-    if (beyond[power]) beyond[power].push(n);
+    const symbol = numbers[n] - DIRECT, power = symbol >> 2;
+    if (symbol < 0) continue;
+    numbers[n] = ((symbol & 3) | 4) << (power + FIRST - 2);
+    if (power < places.length) places[power][ends[power]++] = n;
   }
-  beyond.forEach((places, power) => {
-    const bits = power + FIRST - 2, packed = take((places.length * bits + 7) >> 3);
-    for (let k = 0, n = 0; k < bits; k++) for (const place of places) numbers[place] |= bit(packed, n++) << k;
+  places.forEach((own, power) => {
+    const bits = power + FIRST - 2, packed = take((own.length * bits + 7) >> 3);
+    for (let k = 0, n = 0; k < bits; k++) for (let i = 0; i < own.length; i++) numbers[own[i]] |= bit(packed, n++) << k;
   });
   if (at !== raw.length) throw damaged(`the column ${name} is longer than its Gaussians need`);
   const out = new Int32Array(count), index = context ? order.by(context) : null;
   for (let n = 0; n < count; n++) out[index ? index[n] : n] = ((numbers[n] >>> 1) ^ -(numbers[n] & 1)) + centre;
   return out;
+}
+
+/** The symbols of the numbers that a map shows; the others are 0. */
+function scattered(map, count, take) {
+  let shown = 0, at = 0;
+  for (let n = 0; n < count; n++) shown += bit(map, n);
+  const listed = take(shown), symbols = new Uint32Array(count);
+  for (let n = 0; n < count; n++) if (bit(map, n)) symbols[n] = listed[at++];
+  return symbols;
 }
 
 function bit(bytes, n) {

@@ -6,12 +6,17 @@ import { SHADERS } from "./shaders.js";
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2D;\n";
 const FLAT = { v_alpha: "vec4", v_first: "vec3", v_own: "vec2" }, FEATURES = { v_second: "vec3", v_third: "vec3" };
 
+/** The canvas's WebGL2, the same at each call; throws PageError where there is none. */
+export function contextOf(canvas) {
+  const options = { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
+  const gl = canvas.getContext("webgl2", options);
+  if (!gl) throw new PageError("This page needs WebGL2, which this browser or its graphics driver does not have. Update it, or try another one.");
+  return gl;
+}
+
 export class Graphics {
   constructor(canvas) {
-    const options = { alpha: false, antialias: false, depth: false, stencil: false, powerPreference: "high-performance" };
-    const gl = canvas.getContext("webgl2", options);
-    if (!gl) throw new PageError("This page needs WebGL2, which this browser or its graphics driver does not have. Update it, or try another one.");
-    this.gl = gl;
+    const gl = (this.gl = contextOf(canvas));
     this.float = Boolean(gl.getExtension("EXT_color_buffer_float") || gl.getExtension("EXT_color_buffer_half_float"));
     this.largest = gl.getParameter(gl.MAX_TEXTURE_SIZE);
     this.programs = new Map();

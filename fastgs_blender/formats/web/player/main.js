@@ -5,6 +5,7 @@ import { Clock, Sound } from "./clock.js";
 import { Controls, Hands } from "./controls.js";
 import { arrived, bytesOf, described } from "./data.js";
 import { PageError, damaged, sentence } from "./errors.js";
+import { contextOf } from "./gl.js";
 import { Orbit, fitted } from "./orbit.js";
 import { Renderer } from "./renderer.js";
 import { openScene } from "./scene.js";
@@ -39,13 +40,6 @@ function loaded(share) {
   $("loading").setAttribute("aria-valuenow", percent);
   $("loading").style.setProperty("--share", share);
   $("share").textContent = `${percent} %`;
-}
-
-/** Whether the browser has WebGL2 at all, before anything is decoded. */
-function drawable() {
-  const gl = document.createElement("canvas").getContext("webgl2"), end = gl && gl.getExtension("WEBGL_lose_context");
-  if (end) end.loseContext();
-  return Boolean(gl);
 }
 
 /** Makes the window's size that of the picture, and lays the poster where the picture will be. */
@@ -144,7 +138,7 @@ function graphicsLost(event) {
 
 async function graphicsBack() {
   try {
-    await fastgs.renderer.restore();
+    if (fastgs.renderer) await fastgs.renderer.restore();
     $("notice").textContent = "";
     [lost, fresh] = [false, true];
     wake();
@@ -164,13 +158,15 @@ function hide() {
 async function begin() {
   state("loading");
   loaded(0);
-  if (!drawable()) throw new PageError("This browser has no WebGL2, which this page needs to play. Try another browser, or a newer one.");
   const description = await described(), orbit = (fastgs.orbit = opened(description)), pressed = embedded && !address.play;
   document.body.style.setProperty("--background", `color(srgb-linear ${description.background.join(" ")})`);
   window.addEventListener("resize", measure);
   measure();
   if (pressed) await asked();
   state("loading");
+  canvas.addEventListener("webglcontextlost", graphicsLost);
+  canvas.addEventListener("webglcontextrestored", graphicsBack);
+  contextOf(canvas); // before anything is decoded: it may say that there is none
   await arrived(description, (share) => loaded(0.3 * share));
   const scene = (fastgs.scene = await openScene(description, (i) => bytesOf(description, `model-${i}`), (share) => loaded(0.3 + 0.6 * share)));
   orbit.bound(scene.bounds);
@@ -180,8 +176,6 @@ async function begin() {
     fresh = true;
     wake();
   });
-  canvas.addEventListener("webglcontextlost", graphicsLost);
-  canvas.addEventListener("webglcontextrestored", graphicsBack);
   fastgs.renderer = renderer;
   follow(address);
   draw(sharpness.scale(devicePixelRatio, orbit.size, true));

@@ -103,7 +103,7 @@ function columnsOf({ data, count, steps, blocks }, kinds) {
   kinds.logarithms.forEach((logarithm, k) => {
     for (const part of logarithm ? [""] : [".high", ".low"]) widths[`temporal.${k}${part}`] = 1;
   });
-  const names = Object.keys(widths), order = new Order(), codes = {};
+  const names = Object.keys(widths), order = new Order(count), codes = {};
   if (!Array.isArray(blocks) || blocks.length !== names.reduce((sum, name) => sum + widths[name], 0)) {
     throw damaged("a segment of its model has other columns than it should");
   }

@@ -19,13 +19,12 @@ export function* rowsOf(model, kind, width, rows) {
   let texels = new Float32Array(size), at = 0, row = 0;
   for (let n = 0; n < model.count; n++) {
     write(model, layout, n, run);
-    for (let k = 0; k < run.length; k++) {
-      if (at === size) {
-        yield { row, texels };
-        [texels, at, row] = [new Float32Array(size), 0, row + rows];
-      }
-      texels[at++] = run[k];
-    }
+    const fits = Math.min(run.length, size - at);
+    for (let k = 0; k < fits; k++) texels[at++] = run[k];
+    if (fits === run.length) continue;
+    yield { row, texels };
+    [texels, at, row] = [new Float32Array(size), 0, row + rows];
+    for (let k = fits; k < run.length; k++) texels[at++] = run[k];
   }
   const left = Math.ceil(at / (4 * width)) * 4 * width;
   if (left) yield { row, texels: texels.slice(0, left) };
@@ -35,26 +34,30 @@ export function rowCount({ count, kinds }, kind, width) {
   return Math.max(Math.ceil((count * layoutOf(kinds)[kind]) / width), 1);
 }
 
+/** Row n of an array, whose rows have `size` numbers. */
+function copy(array, size, n, out, at) {
+  for (let k = 0; k < size; k++) out[at + k] = array[size * n + k];
+}
+
 /** Geometry of Gaussian n; one with NaN or infinity gets no opacity. */
 function geometry({ kinds, arrays }, { groups, temporal }, n, run) {
-  const { terms, turns, logarithms, width } = kinds, copy = (array, size, at) => {
-    for (let k = 0; k < size; k++) run[at + k] = array[size * n + k];
-  };
+  const { terms, turns, logarithms, width } = kinds, { features, motion } = arrays;
   run.fill(0);
-  copy(arrays.position, 3, 0);
+  copy(arrays.position, 3, n, run, 0);
   run[3] = arrays.opacity[n];
-  copy(arrays.rotation, 4, 4);
-  copy(arrays.scale, 3, 8);
+  copy(arrays.rotation, 4, n, run, 4);
+  copy(arrays.scale, 3, n, run, 8);
   run[11] = arrays.mu_tau[n];
-  if (temporal) copy(arrays.temporal, logarithms.length, 12);
+  if (temporal) copy(arrays.temporal, logarithms.length, n, run, 12);
   const turned = temporal ? 16 : 12, moved = turned + 4 * turns;
-  copy(arrays.rotation_motion, 4 * turns, turned);
+  copy(arrays.rotation_motion, 4 * turns, n, run, turned);
   for (let axis = 0; axis < 3; axis++) {
-    for (let k = 0; k < terms; k++) run[moved + 4 * groups * axis + k] = arrays.motion[3 * (terms * n + k) + axis];
+    for (let k = 0; k < terms; k++) run[moved + 4 * groups * axis + k] = motion[3 * (terms * n + k) + axis];
   }
-  let good = run.every(Number.isFinite);
-  for (let k = width * n; good && k < width * (n + 1); k++) good = Number.isFinite(arrays.features[k]);
-  if (good) return;
+  let sum = 0; // 0 times NaN or infinity is NaN
+  for (let k = 0; k < run.length; k++) sum += 0 * run[k];
+  for (let k = width * n; k < width * (n + 1); k++) sum += 0 * features[k];
+  if (sum === 0) return;
   run.fill(0);
   run[3] = -100;
 }
