@@ -15,7 +15,7 @@ from ..fastgs_blender.formats.web import Sound, cannot_play, sound_of
 from ..fastgs_blender.formats.web.page import PageObject
 from ..fastgs_blender.rendering.instances import Instance
 from . import camera as cameras
-from . import holdout, joins, objects, snapshot, unshown, world
+from . import holdout, joins, lamps, objects, snapshot, unshown, world
 from .cameras import framing, keys, subjects
 from .colour import rec709_to_working
 
@@ -182,6 +182,7 @@ def not_kept(context) -> list[str]:
     held = [obj.name for obj in layer.objects if not objects.is_splat(obj) and holdout.is_held_out(obj, layer)]
     fixed = [f"the animation of {name} of {obj.name}" for obj in _splats(context) for name in _animated(obj)]
     lens = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
+    lit = [obj.name for obj in _splats(context) if lamps.takes_light(obj)]
     surfaces = [obj.name for obj in unshown.objects_left_out(scene, layer)]
     pointed = [obj.name for obj in _splats(context)
                if obj.fastgs.points == 'ALL' and any(modifier.show_render for modifier in obj.modifiers)]
@@ -189,6 +190,7 @@ def not_kept(context) -> list[str]:
         (transform != 'Standard', f"the view transform {transform}; pages show Standard"),
         (graded, "the look, exposure, gamma and curves of the scene's colour management"),
         (world.background(scene, layer)[1] is not None, "the world's picture; its background colour stands for it"),
+        (bool(lit), f"Scene Light on {_named(lit)}; pages show the captured light"),
         (bool(surfaces), f"meshes: {_named(surfaces)}"),
         (bool(held), f"what hides splats: {_named(held)}"),
         (bool(pointed), f"what modifiers do to the points of {_named(pointed)}"),

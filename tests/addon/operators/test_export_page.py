@@ -159,7 +159,7 @@ def test_what_a_page_does_not_show_is_said_first(scene, module, pictures, moving
     pictures.data.dof.use_dof = True
     pictures.data.clip_start = 0.5
     obj = bpy.context.object
-    obj.fastgs.points = 'ALL'
+    obj.fastgs.points, obj.fastgs.lamp_light = 'ALL', 1
     obj.modifiers.new("Effect", 'NODES')
     for path in ("fastgs.density", "fastgs.exposure"):
         obj.keyframe_insert(path, frame=1)
@@ -170,7 +170,7 @@ def test_what_a_page_does_not_show_is_said_first(scene, module, pictures, moving
     add("cube").name = "Table"
     text = "; ".join(told(bpy.context))
     for words in ("AgX", "exposure", "meshes: Table", "depth of field", "motion blur", "Clip Start", "compositor", "the points of moving",
-                  "the animation of density of moving; the first frame"):
+                  "Scene Light on moving", "the animation of density of moving; the first frame"):
         assert words in text, words
     assert "animation of exposure" not in text
 
