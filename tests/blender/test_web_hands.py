@@ -335,7 +335,7 @@ def other(pattern, letters):
 @pytest.mark.parametrize("change", [
     cut('id="model-0">'), cut('id="model_worker">'), cut('id="scene">'), other('id="model-0">.{2000}', "AAAAAAAA"),
     other('id="model-0">.{2000}', "****"), other('id="scene">', "[[[["), other('"version":', "7"), other('"opening":', "null,     "),
-    other('"parts":', "null,       "), other('"cameras":', "[],      "),
+    other('"parts":', "null,       "), other('"cameras":', "[],      "), other(r'(?s)id="model_worker">.{9000}', "~"),
 ])
 def test_a_damaged_page_ends_in_a_sentence(opened, page, change):
     page("damaged.html", change=change)

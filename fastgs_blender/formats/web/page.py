@@ -27,6 +27,7 @@ player interpolates them.  After the last frame the last one stays.
                 "sampling": null, or how the capture's cameras sampled the model, the fields of distance.Sampling but pixel
     volumes     of each, used by crops: {"side": R, "depth": base64 of float32 [R, R, R]}
     parts       of each model and the sound, by its script's id: {"bytes", "crc": their CRC-32}
+    workers     the CRC-32 of the text of each worker, by its script's id
     sound       null, or {"type": "audio/...", "start": seconds at which the scene begins, by the file's own time; negative: later},
                 with script id="sound", base64
 """
@@ -172,9 +173,11 @@ def page_text(page: Page, files: Sequence[bytes], player: Mapping[str, str] | No
     """
     player = player_files() if player is None else player
     held = {f"model-{i}": data for i, data in enumerate(files)} | ({"sound": page.sound.data} if page.sound else {})
-    description = page.description() | {"parts": {name: {"bytes": len(data), "crc": zlib.crc32(data)} for name, data in held.items()}}
+    workers = {name.removesuffix(".js"): joined(name, player) for name in player if name.endswith("_worker.js")}
+    description = page.description() | {"parts": {name: {"bytes": len(data), "crc": zlib.crc32(data)} for name, data in held.items()},
+                                        "workers": {name: zlib.crc32(text.encode()) for name, text in workers.items()}}
     parts = [_data("scene", "application/json", json.dumps(description, separators=(",", ":"), allow_nan=False))]
-    parts += [_data(name.removesuffix(".js"), "text/plain", joined(name, player)) for name in player if name.endswith("_worker.js")]
+    parts += [_data(name, "text/plain", text) for name, text in workers.items()]
     parts += [_data(name, "text/plain", _base64(data)) for name, data in held.items()]
     script, style = joined("main.js", player), player["page.css"]
     poster = f'<img id="poster" alt="{html.escape(page.title)}" src="data:image/png;base64,{_base64(page.poster)}">' if page.poster else ""

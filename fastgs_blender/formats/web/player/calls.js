@@ -1,10 +1,10 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
-/** Calls what a worker does, whose script stands in the page. */
+/** Calls what a worker does, by the text of its script. */
 import { PageError } from "./errors.js";
 
 export class Calls {
-  constructor(id) {
-    const script = new Blob([document.getElementById(id).textContent], { type: "text/javascript" }), address = URL.createObjectURL(script);
+  constructor(text) {
+    const address = URL.createObjectURL(new Blob([text], { type: "text/javascript" }));
     this.waiting = new Map();
     this.number = 0;
     try {

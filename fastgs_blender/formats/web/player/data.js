@@ -43,6 +43,13 @@ export function bytesOf({ parts }, name) {
   return data;
 }
 
+/** The text of a worker; a damaged one would stop without saying why. */
+export function workerText({ workers }, name) {
+  const { textContent } = document.getElementById(name) || { textContent: "" };
+  if (checksum(new TextEncoder().encode(textContent)) !== (workers || {})[name]) throw damaged("its player is not as it was exported");
+  return textContent;
+}
+
 function decoded(text) {
   try {
     if (Uint8Array.fromBase64) return Uint8Array.fromBase64(text);

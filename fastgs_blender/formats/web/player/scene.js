@@ -2,6 +2,7 @@
 /** The scene of a page: what stands where at a time.  formats/web/page.py says what its description holds. */
 import { basis } from "./bases.js";
 import { Calls } from "./calls.js";
+import { workerText } from "./data.js";
 import { damaged } from "./errors.js";
 import { between, multiplied } from "./matrices.js";
 import { isCount, isTable } from "./tensors.js";
@@ -12,7 +13,7 @@ const FAR = 1e29; // numbers of looks beyond it stand for "no limit", and cannot
 export async function openScene(description, payload, progress = () => {}) {
   const scene = new Scene(description), files = [];
   for (let i = 0; i < scene.modelCount; i++) files.push(payload(i));
-  scene.calls = new Calls("model_worker");
+  scene.calls = new Calls(workerText(description, "model_worker"));
   scene.models = await scene.calls.call("open", { files }, [...new Set(files.map(({ buffer }) => buffer))], progress);
   for (const { kinds } of scene.models) for (const name of ["motion", "turning", "changing"]) kinds[name] = basis(kinds[name].made);
   return scene;
