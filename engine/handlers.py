@@ -3,16 +3,22 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import composite, notices, objects, point_edits, proxies, updates
+from ..scene import composite, mesh_scene, notices, objects, point_edits, proxies, updates
 from ..scene.meshes import moving_mesh
 from ..scene.splats import bodies, feeding, guard, moving, native
-from . import compiling
+from . import compiling, light_probe
 
 
 @persistent
 def _begin_job(scene, *_):
     notices.begin_job()
     composite.follow(scene)
+
+
+@persistent
+def _begin_frame(scene, *_):
+    mesh_scene.follow_sub_frame(scene)
+    light_probe.begin_frame()
 
 
 @persistent
@@ -34,6 +40,7 @@ def _compile_for_splats(*_):
 
 HANDLERS = (
     (bpy.app.handlers.render_init, _begin_job),
+    (bpy.app.handlers.render_pre, _begin_frame),
     (bpy.app.handlers.load_pre, _forget_models),
     (bpy.app.handlers.load_pre, _forget_objects),
     (bpy.app.handlers.load_post, _compile_for_splats),
@@ -43,6 +50,7 @@ HANDLERS = (
     (bpy.app.handlers.frame_change_pre, moving_mesh.before),
     (bpy.app.handlers.frame_change_post, feeding.after),
     (bpy.app.handlers.frame_change_post, moving_mesh.after),
+    (bpy.app.handlers.frame_change_post, light_probe.follow),  # before the splats are hidden from it
     (bpy.app.handlers.frame_change_post, moving.follow),
     (bpy.app.handlers.depsgraph_update_post, bodies.rest),
     (bpy.app.handlers.depsgraph_update_post, feeding.after),

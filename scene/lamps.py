@@ -17,7 +17,7 @@ def scene_light(depsgraph, size: int = 1024) -> SceneLight | None:
     splats = [obj for obj in depsgraph.objects if objects.is_splat(obj)]
     if not any(takes_light(obj) for obj in splats):
         return None
-    scene, names = depsgraph.scene, [obj.name for obj in splats]
+    scene, names = depsgraph.scene.fastgs.splats_scene or depsgraph.scene, [obj.name for obj in splats]
     from_working = np.linalg.inv(colour.rec709_to_working())
     found = []
     for instance in depsgraph.object_instances:

@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import bpy
 
-from . import holdout, objects, shadows
+from . import holdout, light_probe, objects, shadows
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
-SHARED = ("frame_start", "frame_end", "frame_step", "camera", "world", "background_set", "active_clip")
+SHARED = ("frame_start", "frame_end", "frame_step", "camera", "background_set", "active_clip")
 """Properties of a scene itself that both have alike."""
 OWN = ("engine", "film_transparent", "use_compositing", "use_sequencer", "filepath")
 """Render settings that the scene of the meshes has for itself."""
@@ -50,16 +50,25 @@ def follow(scene, engine: str) -> bpy.types.Scene:
     moved = [_follow_contents(scene.collection.children, other.collection.children),
              _follow_contents(scene.collection.objects, other.collection.objects),
              _follow_layers(scene, other)]
+    light_probe.follow(scene, other)
     if any(moved):  # the compositor's scenes are part of a depsgraph, and Blender 5.2 crashes if it meets new objects in it
         for layer in other.view_layers:
             layer.update()
     return other
 
 
+def follow_sub_frame(scene) -> None:
+    """Set the sub-frame of all scenes of meshes to that of the scene which is about to be rendered: Blender sets their frame alone."""
+    for other in bpy.data.scenes:
+        if is_one(other) and other.frame_subframe != scene.frame_subframe:
+            other.frame_float = scene.frame_current + scene.frame_subframe
+
+
 def remove(scene) -> None:
     """Take away the scene of the meshes; what it shows belongs to the other one and stays."""
     other = of(scene)
     if other is not None:
+        light_probe.remove(other)
         bpy.data.scenes.remove(other)
 
 
@@ -200,9 +209,7 @@ def _follow_layers(scene, other) -> bool:
     for layer in scene.view_layers:
         target = other.view_layers.get(layer.name) or other.view_layers.new(layer.name)
         _copy(layer, target, [prop.identifier for prop in layer.bl_rna.properties if prop.identifier.startswith(("use_pass_", "pass_"))])
-        for name in ("material_override", "world_override"):
-            if hasattr(layer, name):
-                _set(target, name, getattr(layer, name))
+        _set(target, "material_override", layer.material_override)
         for name in ("use_pass_combined", "use_pass_z", "use_pass_environment"):
             _set(target, name, True)
         _set(target, "pass_alpha_threshold", 0.0)  # the depth of glass, too

@@ -85,6 +85,22 @@ class FASTGS_PG_filter(bpy.types.PropertyGroup):
     use: BoolProperty(name="Use", description="Filter by this", default=True, **_SHOWN)
 
 
+class FASTGS_PG_probe(bpy.types.PropertyGroup):
+    """An empty at whose place the splats light the meshes of *Render With Meshes*."""
+
+    use: BoolProperty(
+        name="Light Probe", description="Light the meshes of Render With Meshes by what the splats look like from this object",
+        default=False, update=updates.viewports)
+    strength: FloatProperty(
+        name="Strength", description="Factor on the light of the splats", default=1.0, min=0.0, soft_max=10.0)
+    highlights: FloatProperty(
+        name="Highlights", description="How many times as bright as captured white is: captures cut off the light of fires and lamps. "
+        "Colours below a linear value of 0.5 stay", default=4.0, min=1.0, soft_max=32.0)
+    width: IntProperty(
+        name="Width", description="Pixels of the panorama around; half as many from top to bottom. More show more in mirrors",
+        default=512, min=64, max=8192, subtype='PIXEL')
+
+
 def _look(name, look):
     """The property of a look in the library's table."""
     default = getattr(ObjectSettings, name)
@@ -151,6 +167,7 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
         type=FASTGS_PG_filter, name="Filters", description="Which Gaussians are hidden for what they are",
         override=_OWN | {'USE_INSERTION'})
 
+    probe: PointerProperty(type=FASTGS_PG_probe, name="Light Probe", description="How an empty lights meshes by splats")
     copy_of: PointerProperty(
         name="Copy Of", description="The splat object whose current frame this object holds, for other engines", type=bpy.types.Object)
     surface_of: PointerProperty(
@@ -309,8 +326,8 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
     clip_fps: FloatProperty(name="Clip Rate", description="The capture's frames per second", min=0.0)
 
 
-CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer, FASTGS_PG_camera,
-           FASTGS_PG_shading)
+CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_probe, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer,
+           FASTGS_PG_camera, FASTGS_PG_shading)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),

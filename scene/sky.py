@@ -209,8 +209,8 @@ class WorldRequest:
         set_(self, "name", self.world.original.name)
         set_(self, "width", 2 ** math.ceil(math.log2(min(max(widest, WIDTHS[0]), WIDTHS[1]))))
         set_(self, "space", bpy.data.colorspace.working_space if hasattr(bpy.data, "colorspace") else "")
-        facts = [self.name, self.space, self.width, _edits, *_facts(self.world, set())]
-        set_(self, "key", hashlib.sha256(repr(facts).encode()).hexdigest())
+        known = [self.name, self.space, self.width, _edits, *facts(self.world)]
+        set_(self, "key", hashlib.sha256(repr(known).encode()).hexdigest())
 
     def write(self, path: Path) -> None:
         """Write the world, with all that it needs, to a .blend."""
@@ -244,26 +244,27 @@ SKIPPED = {"rna_type", "location", "location_absolute", "width", "height", "sele
 """Properties that do not change what a world looks like, or that others tell."""
 
 
-def _facts(thing, met) -> list:
+def facts(thing, met=None) -> list:
     """Everything that can be said of a block of data, as values that can be compared; blocks that it uses included."""
+    met = set() if met is None else met
     if thing.as_pointer() in met:
         return []
     met.add(thing.as_pointer())
-    facts = []
+    found = []
     for prop in thing.bl_rna.properties:
         if prop.identifier in SKIPPED:
             continue
         value = getattr(thing, prop.identifier)
         if prop.type == 'COLLECTION':
-            facts += [(prop.identifier, _facts(item, met)) for item in value]
+            found += [(prop.identifier, facts(item, met)) for item in value]
         elif prop.type == 'POINTER':
             if value is not None:
-                facts.append((prop.identifier, getattr(value, "name", ""), _facts(value, met)))
+                found.append((prop.identifier, getattr(value, "name", ""), facts(value, met)))
         elif getattr(prop, "is_array", False):
-            facts.append((prop.identifier, tuple(value)))
+            found.append((prop.identifier, tuple(value)))
         else:
-            facts.append((prop.identifier, value if not isinstance(value, set) else sorted(value)))
+            found.append((prop.identifier, value if not isinstance(value, set) else sorted(value)))
     if isinstance(thing, bpy.types.NodeTree):
-        facts += [(link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier, link.is_muted)
+        found += [(link.from_node.name, link.from_socket.identifier, link.to_node.name, link.to_socket.identifier, link.is_muted)
                   for link in thing.links]
-    return facts
+    return found

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from ..fastgs_blender.rendering.passes import LAMPS
-from . import holdout, objects, shadows
+from . import holdout, light_probe, objects, shadows
 
 NAMED = 3
 """Objects that a sentence names; of further ones it gives the number."""
@@ -32,9 +32,12 @@ def meshes(scene, view_layer) -> str | None:
 def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
     holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and holdout.is_held_out(obj, view_layer)]
+    probes = [probe for probe in light_probe.all_of(scene) if not probe.hide_render]
     surplus = [obj.name for obj in shadows.chosen(scene)[LAMPS:]]
     return ([f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."] if holdouts else []) + (
-        [f"At most {LAMPS} lamps have a splat shadow; {', '.join(surplus[:NAMED])} has none."] if surplus else [])
+        [f"At most {LAMPS} lamps have a splat shadow; {', '.join(surplus[:NAMED])} has none."] if surplus else []) + (
+        [f"One light probe counts, {probes[0].name}; {', '.join(probe.name for probe in probes[1:NAMED + 1])} does nothing."]
+        if len(probes) > 1 else [])
 
 
 def in_viewports(scene) -> str | None:

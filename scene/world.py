@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import bpy
 
+from . import light_probe
+
 BLACK = (0.0, 0.0, 0.0)
 
 
@@ -14,7 +16,7 @@ def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, bp
 
 def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.World | None]:
     """(scene-linear colour of a view layer's world; the world where it is more than that colour, or None)."""
-    world = getattr(view_layer, "world_override", None) or scene.world
+    world = light_probe.source_of(getattr(view_layer, "world_override", None) or scene.world)
     if world is None or not view_layer.use_sky:
         return BLACK, None
     if bpy.app.version < (5, 0, 0) and not world.use_nodes:  # later worlds always have nodes

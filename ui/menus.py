@@ -38,6 +38,12 @@ def draw_camera_below(self, context):
     draw_camera(self, context)
 
 
+def draw_light_probe(self, context):
+    """The 3D view's menu Add > Light Probe."""
+    self.layout.separator()
+    self.layout.operator("fastgs.add_light_probe", text="Of 4D Gaussians", icon='LIGHTPROBE_SPHERE')
+
+
 def draw_sound(self, context):
     """The sequencer's Add menu."""
     self.layout.separator()
@@ -60,6 +66,7 @@ MENUS = (
     (bpy.types.VIEW3D_MT_view_cameras, draw_camera_below),
     (bpy.types.VIEW3D_MT_view_align, draw_camera_below),
     (bpy.types.VIEW3D_MT_object_context_menu, draw_camera_below),
+    (bpy.types.VIEW3D_MT_lightprobe_add, draw_light_probe),
     (bpy.types.SEQUENCER_MT_add, draw_sound),
     (bpy.types.OBJECT_PT_transform, draw_size),
 )

@@ -7,7 +7,7 @@ from itertools import groupby
 import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
-from ..scene import lamps, objects, speeds, startup
+from ..scene import holdout, lamps, light_probe, objects, speeds, startup
 from ..scene.notices import draw_trouble
 from . import facts
 
@@ -239,6 +239,23 @@ class FASTGS_PT_object_engines(_Part, bpy.types.Panel):
     def draw(self, context):
         self.layout.operator("fastgs.make_mesh", icon='MESH_DATA')
         self.layout.operator_menu_enum("fastgs.native_copy", "kind", icon='POINTCLOUD_DATA')
+
+
+class FASTGS_PT_light_probe(_Splat, bpy.types.Panel):
+    bl_label = "Light Probe"
+
+    @classmethod
+    def poll(cls, context):
+        return context.object is not None and light_probe.is_one(context.object)
+
+    def draw(self, context):
+        layout, probe, scene = split(self.layout), context.object.fastgs.probe, context.scene
+        draw_column(layout, probe, "strength", "highlights", "width")
+        layout.prop(context.object, "empty_display_size", text="Radius")
+        if not holdout.with_meshes(scene):
+            draw_trouble(layout, context, "Choose Render With Meshes in the render properties", 'INFO')
+        elif light_probe.all_of(scene)[:1] != [context.object]:
+            draw_trouble(layout, context, f"{light_probe.all_of(scene)[0].name} counts: the first one by name that is rendered", 'INFO')
 
 
 class FASTGS_PT_instances(_Splat, bpy.types.Panel):

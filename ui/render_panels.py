@@ -71,6 +71,7 @@ def draw_meshes(layout, scene):
     elif other is not None:
         layout.prop(other.eevee, "taa_render_samples", text="Mesh Samples")
     if other is not None:
+        layout.operator("fastgs.add_light_probe", text="Add Light Probe", icon='LIGHTPROBE_SPHERE')
         layout.prop(scene.fastgs, "write_passes")
 
 

@@ -8,6 +8,8 @@ import numpy as np
 
 SRGB_CUT, SRGB_LINEAR_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 0.0031308, 12.92, 0.055, 2.4
 """Of the sRGB curve: linear up to the cut (of sRGB, of linear values), a power beyond it.  Kernels and shaders take them from here."""
+LIFTED_FROM = 0.5
+"""Linear value from which on captures are taken to show less light than there was: sRGB 0.735."""
 BRIGHTEST = 1e12
 """Largest sRGB value that is told from larger ones: float32 holds no linear value of much larger ones, which looks can make."""
 
@@ -32,6 +34,16 @@ def straight(rgb: np.ndarray, alpha: np.ndarray) -> np.ndarray:
     """Un-premultiplied colour [h, w, 3] of rgb [h, w, 3] and alpha [h, w]; 0 where alpha is 0."""
     a = alpha[..., None]
     return np.divide(rgb, a, out=np.zeros_like(rgb), where=a > 0)
+
+
+def lifted(rgb: np.ndarray, highlights: float) -> np.ndarray:
+    """Linear colours [..., 3] with highlights as bright as light is, not as a display shows it: white becomes `highlights` times as bright.
+
+    With m, the largest of red, green and blue, the factor is 1 up to LIFTED_FROM and then grows smoothly to `highlights` at m = 1:
+    1 + (highlights - 1) s^2 (3 - 2 s), s = (m - LIFTED_FROM) / (1 - LIFTED_FROM) within 0..1.  Hues stay.
+    """
+    s = np.clip((rgb.max(-1, keepdims=True) - LIFTED_FROM) / (1 - LIFTED_FROM), 0, 1)
+    return rgb * (1 + (highlights - 1) * s * s * (3 - 2 * s))
 
 
 def over(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:
