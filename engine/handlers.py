@@ -3,7 +3,7 @@
 import bpy
 from bpy.app.handlers import persistent
 
-from ..scene import composite, mesh_scene, notices, objects, point_edits, proxies, updates
+from ..scene import composite, mesh_scene, notices, objects, point_edits, proxies, selection, updates
 from ..scene.meshes import moving_mesh
 from ..scene.splats import bodies, feeding, guard, moving, native
 from . import compiling, light_probe
@@ -24,6 +24,7 @@ def _begin_frame(scene, *_):
 @persistent
 def _forget_models(*_):
     objects.clear()
+    selection.Sight.forget()
 
 
 @persistent
@@ -81,4 +82,4 @@ def unregister():
     for handlers, function in HANDLERS:
         handlers.remove(function)
     updates.mesh_listeners.remove(composite.chosen)
-    objects.clear()
+    _forget_models()

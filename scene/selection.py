@@ -6,7 +6,6 @@ The object holds the masks, so that undo and .blend files have them.
 from __future__ import annotations
 
 from dataclasses import replace
-from functools import cached_property
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +14,8 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.crops import cropped
 from ..fastgs_blender.rendering.filters import hidden
 from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
-from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, touched, under
+from ..fastgs_blender.selecting.light import Light
+from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, seen_under, touched, under
 from . import objects, parts, snapshot
 
 STROKES = {"wanted", "refused"}
@@ -95,49 +95,59 @@ def erase(obj, found: np.ndarray, hide: bool = True) -> int:
 class Sight:
     """What a camera sees of a scene's splats on its frame, and which of them lie under what is drawn in its picture."""
 
-    _last: tuple = (None, None)
-    """State and surface of the last view that was asked: strokes follow each other in one view."""
+    _last: tuple = (None, {})
+    """State of the last view that was asked, and what is known of it: strokes follow each other in one view."""
 
     def __init__(self, depsgraph, camera: fg.Camera):
         self.camera, self.shown = camera, snapshot.take(depsgraph, rendered=False)
         self.pairs, _ = self.shown.pairs()
 
-    @cached_property
-    def surface(self) -> np.ndarray:
-        """How deep that lies which is seen, see seen_surface()."""
+    @classmethod
+    def forget(cls) -> None:
+        """Free what is known of the last view."""
+        cls._last = (None, {})
+
+    def _once(self, what: str, make):
+        """What make() gives for all splats that are shown, kept while the view stays."""
         c = self.camera
         state = self.shown.state, objects.reloads(), (c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.near, c.far, c.orthographic,
                                                       c.world_to_camera.tobytes())
         if Sight._last[0] != state:
-            Sight._last = state, seen_surface([instance for _, instance in self.pairs], c)
-        return Sight._last[1]
+            Sight._last = state, {}
+        if what not in Sight._last[1]:
+            Sight._last[1][what] = make([instance for _, instance in self.pairs], c)
+        return Sight._last[1][what]
 
     def ball(self, pixel: tuple[float, float], radius: float) -> Ball | None:
         """A ball around what is seen at a pixel, which looks so many pixels large; None where nothing is seen."""
-        return Ball.on(self.surface, self.camera, pixel, radius)
+        return Ball.on(self._once("surface", seen_surface), self.camera, pixel, radius)
 
     def under(self, obj, shape: Shape, through: bool = True, erased: bool = False) -> np.ndarray:
         """Which Gaussians of an object's file it shows under a shape: [N] bool; `erased`: those that were erased, too.
 
         through  however deep they lie, and not only those that are seen
         """
-        def of(instance):
-            settings = replace(instance.settings, mask="") if erased else instance.settings
-            return under(replace(instance, settings=settings).viewed(self.camera), self.camera, shape, None if through else self.surface)
-
-        return self._of(obj, of)
+        viewed = [instance.viewed(self.camera) for _, instance in self.pairs]
+        if erased:
+            viewed = [replace(instance, settings=replace(instance.settings, mask="")) if item.name == obj.name else instance
+                      for (item, _), instance in zip(self.pairs, viewed, strict=True)]
+        if not through:
+            return self._of(obj, seen_under(viewed, self.camera, shape, None if erased else self._once("light", Light)))
+        return self._of(obj, [under(instance, self.camera, shape) if item.name == obj.name else None
+                              for (item, _), instance in zip(self.pairs, viewed, strict=True)])
 
     def touched(self, obj, shape: Shape) -> np.ndarray:
         """Which Gaussians of an object's file make what is seen in a shape, wherever their centres are: [N] bool."""
-        return self._of(obj, lambda instance: touched(instance.viewed(self.camera), self.camera, shape))
+        viewed = [instance.viewed(self.camera) for _, instance in self.pairs]
+        return self._of(obj, touched(viewed, self.camera, shape, self._once("light", Light)))
 
-    def _of(self, obj, find) -> np.ndarray:
-        """What is found among the Gaussians of each instance of an object, as those of its file: [N] bool."""
+    def _of(self, obj, found: list) -> np.ndarray:
+        """What was found among the Gaussians of each instance, of an object's as those of its file: [N] bool."""
         out = np.zeros(len(objects.load_one_model(obj, "selected")), bool)
         own = parts.rows(obj.fastgs.part) if obj.fastgs.part else slice(None)
-        for item, instance in self.pairs:
+        for (item, _), bits in zip(self.pairs, found, strict=True):
             if item.name == obj.name:
-                out[own] |= find(instance)
+                out[own] |= bits
         return out
 
 

@@ -320,3 +320,20 @@ class SurfaceBackend(Protocol):
                          between normal and axis
         reach            no Gaussian farther away counts
         """
+
+
+class Light(Protocol):
+    """The light of a picture of some instances, by the Gaussians that it comes from."""
+
+    def over(self, masks: np.ndarray) -> list[np.ndarray]:
+        """Of each instance, the sums of its Gaussians' blending weights over pixels, each times the masks [h, w, M <= 3]: [N, M]."""
+
+    def alone(self) -> list[np.ndarray]:
+        """Of each instance, the sum of the weights of each of its Gaussians if nothing lay before it and the picture had no edge: [N]."""
+
+
+class SelectingBackend(Protocol):
+    """The operation that selecting what is seen needs; "cpu" has it."""
+
+    def light(self, instances: list[ViewedInstance], camera: Camera) -> Light:
+        """Draw the instances, for Light."""

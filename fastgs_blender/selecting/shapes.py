@@ -1,24 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Gaussians in a shape that is drawn in the picture, or in a ball: all of them, or those that are seen."""
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.slicing import positions_at, quaternions_at
+from ..model.slicing import positions_at
 from ..rendering.api import render
 from ..rendering.instances import Instance, ViewedInstance
 from ..rendering.visibility import order
-from ..util import rotations
-from .light import light
+from .light import Light, small
 
-SIDE = 480
-"""Most pixels of the longer side of the picture of depths by which it is told what is seen."""
-LEAST = 0.3
-"""Pixels of light below which a Gaussian is not touched."""
-BEHIND = 0.005
-"""A Gaussian is seen if it lies behind the surface by at most its own deviation along the view.  The surface is the deepest of the pixels
-around its centre, as it may be steep, but at most this share deeper than at its centre."""
+SEEN, SHARE = 0.3, 0.1
+"""A Gaussian is seen in a shape if it gives so many pixels of light there, or this share of what it would give with nothing before it."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +36,18 @@ class Stroke:
 
     def holds(self, pixel: np.ndarray) -> np.ndarray:
         """Which of the pixels [M, 2] lie under it: [M] bool."""
-        out = np.zeros(len(pixel), bool)
-        for start, end in zip(self.middles, self.middles[1:] or self.middles, strict=False):
-            along, offset = np.subtract(end, start), pixel - start
+        pixel, path = np.asarray(pixel, np.float64), np.asarray(self.middles, np.float64)
+        order = _around(pixel, path.min(0) - self.radius, path.max(0) + self.radius)
+        near = pixel[order]
+        held = np.zeros(len(order), bool)
+        for start, end in zip(path, path[1:] if len(path) > 1 else path, strict=False):
+            low, high = sorted((start[1], end[1]))
+            rows = slice(*np.searchsorted(near[:, 1], (low - self.radius, high + self.radius)))
+            along, offset = end - start, near[rows] - start
             share = np.clip(offset @ along / max(along @ along, 1e-12), 0, 1)
-            out |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
+            held[rows] |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
+        out = np.zeros(len(pixel), bool)
+        out[order] = held
         return out
 
 
@@ -62,15 +63,14 @@ class Lasso:
     def holds(self, pixel: np.ndarray) -> np.ndarray:
         """Which of the pixels [M, 2] lie in it: [M] bool."""
         pixel, corners = np.asarray(pixel, np.float64), np.asarray(self.points, np.float64)
-        out = np.zeros(len(pixel), bool)
-        around = np.flatnonzero(((pixel >= corners.min(0)) & (pixel <= corners.max(0))).all(1))
-        order = around[np.argsort(pixel[around, 1])]
+        order = _around(pixel, corners.min(0), corners.max(0))
         x, y = pixel[order].T
         inside = np.zeros(len(order), bool)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
             if y0 != y1:  # a side is to the right of those pixels in its height that the way to the right crosses
                 rows = slice(*np.searchsorted(y, sorted((y0, y1))))
                 inside[rows] ^= x[rows] < x0 + (y[rows] - y0) * (x1 - x0) / (y1 - y0)
+        out = np.zeros(len(pixel), bool)
         out[order] = inside
         return out
 
@@ -98,61 +98,72 @@ Shape = Box | Stroke | Lasso | Ball
 
 
 def seen_surface(instances: list[Instance], camera: Camera, backend: str = "auto") -> np.ndarray:
-    """The depths [h, w] of what the camera sees of a scene, inf where nothing is, for under() and Ball.on(): one for many strokes.
+    """The depths [h, w] of what the camera sees of a scene, inf where nothing is, for Ball.on(): one for many balls.
 
-    It is the whole image, at most SIDE pixels large: the median depth, where half of the light is stopped.
+    It is the whole image, made small: the median depth, where half of the light is stopped.
     """
-    return render(instances, _small(camera), passes=["median_depth"], backend=backend)["median_depth"]
+    return render(instances, small(camera), passes=["median_depth"], backend=backend)["median_depth"]
 
 
-def under(instance: ViewedInstance, camera: Camera, shape: Shape, surface: np.ndarray | None = None, backend: str = "auto") -> np.ndarray:
-    """Which Gaussians the camera shows and whose centres lie in a shape: [N] bool, of the instance's source (Instance.source).
-
-    surface  what seen_surface() gave for this camera: only those that do not lie behind it; None: however deep
-    """
+def under(instance: ViewedInstance, camera: Camera, shape: Shape, backend: str = "auto") -> np.ndarray:
+    """Which Gaussians the camera shows and whose centres lie in a shape, however deep: [N] bool, of the instance's source."""
     index = order([instance], camera, backend=backend)
-    to_camera, position = instance.model_to_camera, positions_at(instance.model, instance.t, index)
-    place = position @ to_camera[:3, :3].T + to_camera[:3, 3]
-    pixel = camera.pixels(place)
-    if isinstance(shape, Ball):
-        world = position @ instance.placement[:3, :3].T + instance.placement[:3, 3]
-        inside = ((world - shape.centre) ** 2).sum(1) <= shape.radius**2
-    else:
-        inside = shape.holds(pixel)
-    index, place, pixel = index[inside], place[inside], pixel[inside]
-    if surface is not None:
-        turn = rotations.to_matrices(rotations.unit(quaternions_at(instance.model, instance.t, index)))
-        axes = np.einsum("k,nkj->nj", to_camera[2, :3], turn) * np.exp(instance.model.scale[index].astype(np.float64))
-        padded = np.pad(surface, 1, mode="edge")
-        around = np.max([padded[a:a + surface.shape[0], b:b + surface.shape[1]] for a in range(3) for b in range(3)], axis=0)
-        limit = np.minimum(_looked_up(around, camera, pixel), (1 + BEHIND) * _looked_up(surface, camera, pixel))
-        index = index[place[:, 2] <= limit + np.linalg.norm(axes, axis=1)]
-    out = np.zeros(len(instance.source), bool)
-    out[index if instance.rows is None else instance.rows[index]] = True
-    return out
+    return _as_source(instance, index[_holds(instance, camera, shape, index)])
 
 
-def touched(instance: ViewedInstance, camera: Camera, shape: Box | Stroke | Lasso, own: float = 0.5) -> np.ndarray:
-    """Which Gaussians make what is seen in a shape, wherever their centres are: [N] bool of the instance's source, for grow().
+def seen_under(instances: list[ViewedInstance], camera: Camera, shape: Shape, light: Light | None = None) -> list[np.ndarray]:
+    """Of each of the instances that a camera sees together, which Gaussians under() a shape are seen there: [N] bool.
+
+    light  theirs, for further strokes in one view; None: it is made
+    """
+    light, found = light or Light(instances, camera), []
+    for instance, (within, _, alone) in zip(instances, light.of(_mask(shape, camera, light)), strict=True):
+        index = np.flatnonzero((within > 0) & (within >= np.minimum(SEEN, SHARE * alone)))
+        found.append(_as_source(instance, index[_holds(instance, camera, shape, index)]))
+    return found
+
+
+def touched(instances: list[ViewedInstance], camera: Camera, shape: Shape, light: Light | None = None,
+            own: float = 0.5) -> list[np.ndarray]:
+    """Of each of the instances, which Gaussians make what is seen in a shape, wherever their centres are: [N] bool, for grow().
 
     own  least share of what the picture shows of a Gaussian that lies in the shape: what reaches far beyond it is not meant
     """
-    small = _small(camera)
-    x, y = np.meshgrid(np.arange(small.width) + 0.5, np.arange(small.height) + 0.5)
-    pixel = np.stack([x * camera.width / small.width, y * camera.height / small.height], -1)
-    mask = shape.holds(pixel.reshape(-1, 2)).reshape(x.shape)
-    drawn = np.flatnonzero(~instance.hidden) if len(instance.hidden) else np.arange(len(instance.model))
-    within, whole = light(instance.model.take(drawn), replace(small, world_to_camera=instance.model_to_camera), instance.t, mask).T
-    index = drawn[(within >= LEAST) & (within >= own * whole)]
+    light = light or Light(instances, camera)
+    return [_as_source(instance, np.flatnonzero((within >= SEEN) & (within >= own * whole)))
+            for instance, (within, whole, _) in zip(instances, light.of(_mask(shape, camera, light)), strict=True)]
+
+
+def _around(pixel: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:
+    """Which of the pixels [M, 2] lie in a rectangle: their numbers, by their heights."""
+    inside = np.flatnonzero(((pixel >= low) & (pixel <= high)).all(1))
+    return inside[np.argsort(pixel[inside, 1])]
+
+
+def _holds(instance: ViewedInstance, camera: Camera, shape: Shape, index: np.ndarray) -> np.ndarray:
+    """Which of the Gaussians of an instance have their centres in a shape: [len(index)] bool."""
+    position = positions_at(instance.model, instance.t, index)
+    if isinstance(shape, Ball):
+        world = position @ instance.placement[:3, :3].T + instance.placement[:3, 3]
+        return ((world - shape.centre) ** 2).sum(1) <= shape.radius**2
+    to_camera = instance.model_to_camera
+    return shape.holds(camera.pixels(position @ to_camera[:3, :3].T + to_camera[:3, 3]))
+
+
+def _mask(shape: Shape, camera: Camera, light: Light) -> np.ndarray:
+    """Which pixels [h, w] of the light's picture lie in a shape that is drawn in the camera's; of a ball all."""
+    width, height = light.camera.width, light.camera.height
+    if isinstance(shape, Ball):
+        return np.ones((height, width), bool)
+    x, y = np.meshgrid((np.arange(width) + 0.5) * camera.width / width, (np.arange(height) + 0.5) * camera.height / height)
+    return shape.holds(np.stack([x, y], -1).reshape(-1, 2)).reshape(height, width)
+
+
+def _as_source(instance: ViewedInstance, index: np.ndarray) -> np.ndarray:
+    """Gaussians of an instance's model as [N] bool of its source."""
     out = np.zeros(len(instance.source), bool)
     out[index if instance.rows is None else instance.rows[index]] = True
     return out
-
-
-def _small(camera: Camera) -> Camera:
-    """The camera of the whole image, at most SIDE pixels large."""
-    size = min(1.0, SIDE / max(camera.width, camera.height))
-    return camera.stretched(*(max(1, round(size * side)) for side in (camera.width, camera.height)))
 
 
 def _looked_up(surface: np.ndarray, camera: Camera, pixel: np.ndarray) -> np.ndarray:

@@ -236,7 +236,7 @@ def strokes(model: fg.GaussianModel, scene: Scene, view: int = 0, t: float = 1 /
     """What a stroke over the wanted thing touches, and what one over the others does: [N] bool of the model."""
     camera = cameras()[view]
     seen = fg.Instance(model, np.eye(4), t).viewed(camera)
-    return [touched(seen, camera, stroke_in(mask, k)) for k, mask in enumerate(parts_in_view(scene.model, scene.truth, camera, t))]
+    return [touched([seen], camera, stroke_in(mask, k))[0] for k, mask in enumerate(parts_in_view(scene.model, scene.truth, camera, t))]
 
 
 def overlaps(model: fg.GaussianModel, found: np.ndarray, scene: Scene, views=(1, 3, 4, 6), times=(0.05, 0.5, 0.95)) -> list[float]:

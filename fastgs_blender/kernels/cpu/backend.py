@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import carving, initial, nearest, passing, resample, steps, training, visible
+from . import carving, initial, light, nearest, passing, resample, steps, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -89,6 +89,7 @@ class CPU:
     mcmc_noise = staticmethod(steps.mcmc_noise)
     adam = staticmethod(steps.adam)
     nearest = staticmethod(nearest.nearest)
+    light = staticmethod(light.light)
     carve, around = staticmethod(carving.carve), staticmethod(carving.around)
     project_points = staticmethod(initial.project_points)
     sweep = staticmethod(initial.sweep)

@@ -16,6 +16,7 @@ from ...rendering.relight import SceneLight
 from ...rendering.shadow import Light
 from ...rendering.visibility import order
 from . import cache
+from .light import light
 
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
 
@@ -36,6 +37,7 @@ def compile_all(progress=lambda fraction: None) -> None:
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
     order([instance], camera)
     order([instance], camera, 0.5, importance_rank)
+    light([instance], camera).over(np.ones((16, 16, 1), np.float32))
     cache.mark_filled()
 
 

@@ -113,7 +113,7 @@ def test_only_what_is_seen_is_selected_unless_through(fg, module, model_file, ad
     sight = selection.Sight(bpy.context.evaluated_depsgraph_get(), now(scene.camera))
     around = shapes.Box((28, 20), (36, 28))
     seen, through = (sight.under(obj, around, through) for through in (False, True))
-    assert seen.sum() > 20 and not seen[900] and through[900] and (through & ~seen).sum() == 1
+    assert through[900] and not seen[900] and not (seen & ~through).any() and 0.8 < seen.sum() / through[:900].sum() <= 1
     ball = sight.ball((32, 24), 8)
     inside = sight.under(obj, ball)
     assert not inside[900] and np.array_equal(np.flatnonzero(inside), np.flatnonzero(np.hypot(*place[:, ::2].T) * (place[:, 1] == 0)
