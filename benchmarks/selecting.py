@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Grow to the Thing on scenes whose truth is known: intersection over union in other views and frames, and seconds.
+"""Grow to the Thing on scenes whose truth is known, a lasso among 300 000 Gaussians, and redraws with a selection.
 
-    python benchmarks/selecting.py [--count 20000] [--scene walker] [--run MODEL.safetensors]
+    python benchmarks/selecting.py [--count 20000] [--scene walker] [--run MODEL.safetensors] [--speed]
 
 A stroke over the thing and one over what is not it are drawn on one frame of one view; the masks of what is found and of the truth are
 compared in views and on frames without strokes.  --run takes a model that was trained on pictures of the scene, instead of the bake.
+Redraws need Blender's bpy and an EGL driver.
 """
 from __future__ import annotations
 
 import argparse
 import sys
+import tempfile
 import time
 from pathlib import Path
 
@@ -23,7 +25,8 @@ import touching_scenes as scenes  # noqa: E402
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.selecting.grow import grow  # noqa: E402
 from fastgs_blender.selecting.joins import joins  # noqa: E402
-from fastgs_blender.selecting.shapes import Lasso, seen_surface, under  # noqa: E402
+from fastgs_blender.selecting.light import Light  # noqa: E402
+from fastgs_blender.selecting.shapes import Lasso, seen_under, under  # noqa: E402
 
 
 def main():
@@ -31,8 +34,9 @@ def main():
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--scene", choices=scenes.SCENES)
     parser.add_argument("--run", type=Path)
+    parser.add_argument("--speed", action="store_true", help="only the lasso and the redraws")
     options = parser.parse_args()
-    for name in [options.scene] if options.scene else scenes.SCENES:
+    for name in () if options.speed else [options.scene] if options.scene else scenes.SCENES:
         scene = scenes.made(name, options.count)
         model = fg.load(options.run) if options.run else scene.model
         for against in (True, False):
@@ -40,7 +44,8 @@ def main():
             overlaps = scenes.overlaps(model, found, scene)
             print(f"{name:14} {'two strokes' if against else 'one stroke ':11}  IoU {np.mean(overlaps):.3f}, least {np.min(overlaps):.3f}"
                   f"   {len(model)} Gaussians, joins {seconds[0]:.2f} s, growing {seconds[1]:.2f} s of processor", flush=True)
-    lasso(model)
+    lasso()
+    redraws()
 
 
 def timed(model, scene, against):
@@ -53,19 +58,82 @@ def timed(model, scene, against):
     return (middle - start, time.process_time() - middle), found
 
 
-def lasso(model, count: int = 300_000):
-    """Prints the seconds of processor of a lasso among `count` Gaussians."""
-    many = model.take(np.arange(count) % len(model))
-    camera, angles = scenes.cameras()[0], np.linspace(0, 2 * np.pi, 200)
-    instance = fg.Instance(many, np.eye(4), 0.4)
-    line = Lasso(tuple((120 + 60 * np.cos(a), 90 + 50 * np.sin(a)) for a in angles))
-    for about in ("compiling", "surface", "through", "visible"):
-        start = time.process_time()
-        if about in ("compiling", "surface"):
-            surface = seen_surface([instance], camera)
-        if about != "surface":
-            under(instance.viewed(camera), camera, line, None if about == "through" else surface)
-        print(f"lasso among {count}: {about} {time.process_time() - start:.3f} s of processor")
+def lasso(count: int = 300_000):
+    """Prints the seconds of processor of a lasso around a quarter of a picture of the example with `count` Gaussians,"""
+    example = fg.load(ROOT / "examples" / "fireside.safetensors")
+    model = example.take(np.arange(count) % len(example))
+    camera = fg.Camera(1280, 720, 1100, 1100, 640, 360, fg.look_at(np.array([0.9, -2.7, 1.6]), (0.0, 0.1, 1.0)))
+    angles = np.linspace(0, 2 * np.pi, 200)
+    line = Lasso(tuple((640 + 360 * np.cos(a), 360 + 200 * np.sin(a)) for a in angles))
+    seen, took, lights = fg.Instance(model, np.eye(4), 0.4).viewed(camera), {}, []
+
+    def visible():
+        seen_under([seen], camera, line, lights[-1])
+
+    def first():
+        lights.append(Light([seen], camera))
+        visible()
+
+    for _ in range(6):
+        for name, work in (("through", lambda: under(seen, camera, line)), ("visible, the first in a view", first), ("visible", visible)):
+            start = time.process_time()
+            work()
+            took.setdefault(name, []).append(time.process_time() - start)
+    for name, seconds in took.items():
+        print(f"lasso among {count}, {name}: {np.median(seconds[1:]):.3f} s of processor", flush=True)
+
+
+def redraws(count: int = 300_000, frames: int = 5):
+    """Prints how many times as long redraws take with a selection as without: on the viewport's thread, and until the GPU is done."""
+    import viewport
+
+    viewport.load_extension()
+    import bpy
+    import gpu
+    from gpu_context import open_gpu
+
+    open_gpu(bpy.context.scene)
+    own, names = viewport.module("fastgs_blender"), ("atlas", "eye", "sorting", "timing", "view", "worker")
+    atlas, eye, sorting, timing, view, worker = (viewport.module(f"engine.viewport.{name}") for name in names)
+    snapshot, pack_mask = viewport.module("scene.snapshot"), viewport.module("fastgs_blender.rendering.masks").pack_mask
+    retime, size = viewport.module("scene.time").Retime(start_frame=0.0), viewport.SIZE
+    path = Path(tempfile.mkdtemp()) / "capture.safetensors"
+    own.save(viewport.capture(own, count), path)
+    picked = pack_mask(own.load(path).position[:, 0] > 0.5)
+    window = np.array([[1.2, 0, 0, 0], [0, 1.2 * size[0] / size[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
+    pose = np.eye(4)
+    pose[2, 3] = -4
+    camera, _ = eye.eye(*size, pose, window)
+    thread, display = worker.Worker(), view.Display(np.eye(3))
+    views = {name: view.View(atlas.Atlas(), thread) for name in ("", picked)}
+    took = {}
+
+    def timed(what, name, work):
+        start = time.process_time(), time.perf_counter()
+        work()
+        took.setdefault((what, name), []).append((time.process_time() - start[0], time.perf_counter() - start[1]))
+
+    offscreen = gpu.types.GPUOffScreen(*size, format='RGBA16F')
+    with offscreen.bind():
+        framebuffer = gpu.state.active_framebuffer_get()
+
+        def redraw(name, moment):
+            views[name].draw(moment, camera, display, wait=True)
+            timing.wait_for_gpu(framebuffer)
+
+        for number in range(frames + 1):
+            for name in views:
+                shown = snapshot.FileInstance("capture", str(path), np.eye(4), retime, selection=name)
+                moment = snapshot.Snapshot([shown], float(number), 30.0).tinted()
+                timed("culling and sorting", name, lambda moment=moment: sorting.sort(moment, camera, 1.0, atlas.Atlas()))
+                timed("a frame", name, lambda name=name, moment=moment: redraw(name, moment))
+                timed("a redraw of the frame", name, lambda name=name, moment=moment: redraw(name, moment))
+    thread.stop()
+    path.unlink()
+    for what in ("culling and sorting", "a frame", "a redraw of the frame"):
+        with_, without = (np.median(np.array(took[what, name][1:]), 0) for name in (picked, ""))
+        print(f"{what} with a selection beside one without, {count} Gaussians: {with_[0] / without[0]:.2f} of the processor, "
+              f"{with_[1] / without[1]:.2f} of the time ({1e3 * without[1]:.1f} ms)", flush=True)
 
 
 if __name__ == "__main__":

@@ -6,6 +6,7 @@ from collections.abc import Callable
 from typing import NamedTuple
 
 import bpy
+from bpy.props import IntProperty
 
 from ..fastgs_blender.util.errors import FastGSError, printable
 from ..scene import objects
@@ -98,8 +99,38 @@ def keep_text(context, name: str, content: str) -> str:
     return text.name
 
 
-def item_of(items, index: int):
-    """One of an object's crops or filters.  Raises FastGSError where there is none of that number."""
-    if index >= len(items):
-        raise FastGSError(f"there is no number {index}; choose one of the {len(items)} in the list, counted from 0.")
-    return items[index]
+class OnItem(Action):
+    """An operator on one of the items of a list of the active object's.
+
+    items  the list's name, "crops" or "filters"
+    """
+
+    items: str
+
+    index: IntProperty(name="Index", description="Which item of the list", min=0)
+
+    @classmethod
+    def listed(cls, context):
+        """The list."""
+        return getattr(context.object.fastgs, cls.items)
+
+    def item(self, context):
+        """The item.  Raises FastGSError where there is none of that number."""
+        items = self.listed(context)
+        if self.index >= len(items):
+            raise FastGSError(f"there is no number {self.index}; choose one of the {len(items)} in the list, counted from 0.")
+        return items[self.index]
+
+
+class Remove(OnItem):
+    """Base class of operators that remove such an item."""
+
+    def act(self, context):
+        self.item(context)
+        self.listed(context).remove(self.index)
+        context.object.update_tag()
+
+
+def listed(name: str) -> tuple[Need, ...]:
+    """The needs of an operator on the items of a list, by its name."""
+    return EDITABLE_SPLATS, Need(lambda context: len(getattr(context.object.fastgs, name)) > 0, f"The object has no {name}")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, IntProperty
+from bpy.props import EnumProperty
 
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import crops, objects
-from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Need, item_of
+from .action import EDITABLE_SPLATS, OBJECT_MODE, Action, Remove, listed
 
 
 class FASTGS_OT_add_crop_box(Action, bpy.types.Operator):
@@ -40,16 +40,9 @@ class FASTGS_OT_add_crop_box(Action, bpy.types.Operator):
         box.select_set(True)
 
 
-class FASTGS_OT_remove_crop_box(Action, bpy.types.Operator):
+class FASTGS_OT_remove_crop_box(Remove, bpy.types.Operator):
     """Stop cropping the active object with this shape; the shape itself stays in the scene"""
 
     bl_idname = "fastgs.remove_crop_box"
     bl_label = "Remove Crop Box"
-    needs = (EDITABLE_SPLATS, Need(lambda context: len(context.object.fastgs.crops) > 0, "The object has no crops"))
-
-    index: IntProperty(name="Index", description="The shape to remove", min=0)
-
-    def act(self, context):
-        item_of(context.object.fastgs.crops, self.index)
-        context.object.fastgs.crops.remove(self.index)
-        context.object.update_tag()
+    items, needs = "crops", listed("crops")

@@ -3,11 +3,11 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, IntProperty
+from bpy.props import EnumProperty
 
 from ..fastgs_blender.selecting.kinds import KINDS
 from ..scene import objects
-from .action import EDITABLE_SPLATS, Action, Need, item_of
+from .action import EDITABLE_SPLATS, Action, Remove, listed
 
 PRESETS = [(key, kind.label, f"Begin with {kind.meaning}", number) for number, (key, kind) in enumerate(KINDS.items())]
 
@@ -27,19 +27,9 @@ class FASTGS_OT_add_filter(Action, bpy.types.Operator):
         item.kind, item.low, item.high, item.mode = found.kind, found.low, found.high, 'KEEP' if found.keep else 'HIDE'
 
 
-class _OnFilter(Action):
-    needs = (EDITABLE_SPLATS, Need(lambda context: len(context.object.fastgs.filters) > 0, "The object has no filters"))
-
-    index: IntProperty(name="Index", description="Which of the object's filters", min=0)
-
-
-class FASTGS_OT_remove_filter(_OnFilter, bpy.types.Operator):
+class FASTGS_OT_remove_filter(Remove, bpy.types.Operator):
     """Remove this filter: what it hides is shown again"""
 
     bl_idname = "fastgs.remove_filter"
     bl_label = "Remove Filter"
-
-    def act(self, context):
-        item_of(context.object.fastgs.filters, self.index)
-        context.object.fastgs.filters.remove(self.index)
-        context.object.update_tag()
+    items, needs = "filters", listed("filters")

@@ -135,6 +135,7 @@ class FASTGS_OT_select_gaussians(Action, bpy.types.Operator):
             done = self.execute(context)
             if self.shape == 'CLICK' and done == {'FINISHED'} and bpy.ops.fastgs.grow.poll():
                 bpy.ops.fastgs.grow('INVOKE_DEFAULT')
+                return {'CANCELLED'}  # it ends as the one step of undo
             return done
         elif event.type in {'ESC', 'RIGHTMOUSE'} and event.value == 'PRESS':
             self.cancel(context)

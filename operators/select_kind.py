@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import bpy
-from bpy.props import EnumProperty, FloatVectorProperty, IntProperty
+from bpy.props import EnumProperty, FloatVectorProperty
 
 from ..fastgs_blender.model.edits import state_of
 from ..fastgs_blender.selecting import kinds
 from ..scene import objects, selection, snapshot
-from .action import EDITABLE_SPLATS, Action, Need, item_of
+from .action import EDITABLE_SPLATS, Action, OnItem, listed
 
 WAYS = (
     ('SET', "Set", "They alone are selected", 0),
@@ -65,17 +65,15 @@ class FASTGS_OT_select_kind(_Selecting, bpy.types.Operator):
         return f"{selection.select(obj, found, 'SET' if self.kind == 'INVERSE' else self.mode):,} Gaussians selected"
 
 
-class FASTGS_OT_select_filtered(_Selecting, bpy.types.Operator):
+class FASTGS_OT_select_filtered(_Selecting, OnItem, bpy.types.Operator):
     """Select what this filter means, and switch the filter off, so that it is seen"""
 
     bl_idname = "fastgs.select_filtered"
     bl_label = "Select Filtered"
-    needs = (EDITABLE_SPLATS, Need(lambda context: len(context.object.fastgs.filters) > 0, "The object has no filters"))
-
-    index: IntProperty(name="Index", description="Which of the object's filters", min=0)
+    items, needs = "filters", listed("filters")
 
     def act(self, context):
-        obj = context.object
-        item_of(obj.fastgs.filters, self.index).use = False
-        found = snapshot.filter_of(obj.fastgs.filters[self.index]).holds(objects.load_one_model(obj, "selected"))
+        obj, item = context.object, self.item(context)
+        item.use = False
+        found = snapshot.filter_of(item).holds(objects.load_one_model(obj, "selected"))
         return f"{selection.select(obj, found & selection.shown(obj), self.mode):,} Gaussians selected"

@@ -13,8 +13,8 @@ from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectS
 from . import crops, devices, model_space, objects, parts, point_edits, speeds
 from .time import Retime, shown_frames
 
-SELECTED = ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.52, 0.04))
-REFUSED = ObjectSettings(saturation=0.05, exposure=0.5, gamma=1.2, tint=(0.1, 0.5, 2.0))
+SELECTED = ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.52, 0.04), mark=1)
+REFUSED = ObjectSettings(saturation=0.05, exposure=0.5, gamma=1.2, tint=(0.1, 0.5, 2.0), mark=-1)
 ERASED = ObjectSettings(saturation=0.05, exposure=0.8, gamma=1.2, tint=(1.8, 0.05, 0.12))
 """The looks, on top of an object's own, in which viewports show what is selected, refused or erased."""
 

@@ -33,7 +33,7 @@ class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings, scene = self.layout, context.object.fastgs, context.scene.fastgs
-        _draw_tools(layout, SELECTING, ("Thing", "Box", "Lasso", "Brush", "Ball"))
+        _draw_tools(layout, SELECTING, ("Thing", "Box", "Lasso", "Brush", "Sphere"))
         layout.prop(scene, "select_through", text="Through to the Back")
         row = layout.row(align=True)
         row.menu("FASTGS_MT_select", text="Select")
@@ -72,42 +72,49 @@ class FASTGS_PT_parts_crop(_Below, bpy.types.Panel):
     bl_label = "Crop"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_decorate = False
-        for index, item in enumerate(context.object.fastgs.crops):
-            col = layout.column(align=True)
-            row = col.row(align=True)
-            row.prop(item, "use", text="")
+        def first(row, item, index):
             row.prop(item, "object", text="")
-            row.operator("fastgs.remove_crop_box", text="", icon='X').index = index
+
+        def rest(col, item):
             row = col.row(align=True)
             row.prop(item, "shape", text="", icon_only=True)  # with their words the number is cut
             row.prop(item, "mode", text="", icon_only=True)
             row.prop(item, "soft", text="Soft")
-        layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
+
+        _draw_list(self.layout, context.object.fastgs.crops, first, rest, "fastgs.remove_crop_box")
+        self.layout.operator_menu_enum("fastgs.add_crop_box", "shape", icon='ADD')
 
 
 class FASTGS_PT_parts_filters(_Below, bpy.types.Panel):
     bl_label = "Filters"
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_decorate = False
-        for index, item in enumerate(context.object.fastgs.filters):
-            col = layout.column(align=True)
-            row = col.row(align=True)
-            row.prop(item, "use", text="")
+        def first(row, item, index):
             row.prop(item, "mode", text="")
             row.prop(item, "kind", text="")
             row.operator("fastgs.select_filtered", text="", icon='RESTRICT_SELECT_OFF').index = index
-            row.operator("fastgs.remove_filter", text="", icon='X').index = index
-            col = col.column(align=True)
+
+        def rest(col, item):
             if item.kind == 'COLOUR':
                 col.prop(item, "colour", text="")
             row = col.row(align=True)
             row.prop(item, "low", text="")
             row.prop(item, "high", text="")
-        layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
+
+        _draw_list(self.layout, context.object.fastgs.filters, first, rest, "fastgs.remove_filter")
+        self.layout.operator_menu_enum("fastgs.add_filter", "preset", icon='ADD')
+
+
+def _draw_list(layout, items, first, rest, remove: str):
+    """Draw a block for each of some items: first(row, item, index) beside the switch and the operator that removes it; rest(col, item)."""
+    layout.use_property_decorate = False
+    for index, item in enumerate(items):
+        col = layout.column(align=True)
+        row = col.row(align=True)
+        row.prop(item, "use", text="")
+        first(row, item, index)
+        row.operator(remove, text="", icon='X').index = index
+        rest(col.column(align=True), item)
 
 
 def _draw_tools(layout, tools, names):

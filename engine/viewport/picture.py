@@ -5,10 +5,13 @@ Splats are blended once for each *group* that needs its own way from blended num
 one for all linear ones, one for each decoder, place and look.  In a group's turn the splats of others are black, so that they
 hide what lies behind them.  Groups in one colour space are summed, then decoded; the spaces' light adds up (engine/scene_linear.py
 does the same).  Nearly always there is one group.
+
+Marks on the Gaussians of a model with a decoder (ObjectSettings.mark) are in its group.  Their share of each pixel is blended along, and
+their look is mixed in when the decoder has made the colour.
 """
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import gpu
 import numpy as np
@@ -18,6 +21,7 @@ from ...fastgs_blender.kernels.gl.frame_table import ORDER_WIDTH, Depths, ViewTe
 from ...fastgs_blender.kernels.gl.resolve_table import resolve_table
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.layout import decoding
+from ...fastgs_blender.rendering.looks import Look
 from ...scene.sky import Panorama
 from . import shaders
 from .atlas import Atlas
@@ -34,21 +38,32 @@ SKY_WIDTH = 8192
 
 @dataclass(frozen=True)
 class Group:
-    """Instances whose blended numbers become colour in the same way (layout.decoding); `instance` is one with a decoder, or None."""
+    """Instances whose blended numbers become colour in the same way (layout.decoding); `instance` is one with a decoder, or None.
+
+    marks  the looks of those that mark Gaussians of a model with a decoder, by their marks
+    """
 
     colour_space: str
     instance: ViewedInstance | None = None
+    marks: dict[int, np.ndarray] = field(default_factory=dict, compare=False)
 
 
 def grouped(instances: list[ViewedInstance]) -> tuple[list[Group], dict[int, int]]:
     """(the groups, {place of an instance in the list: place of its group})."""
-    groups, member, known = [], {}, {}
+    groups, member, known, marked = [], {}, {}, {}
     for number, instance in enumerate(instances):
-        way = instance.model.colour_space, decoding(instance)
+        way, mark = (instance.model.colour_space, decoding(instance)), int(instance.look[Look.MARK])
+        base = way[0], way[1] and way[1][:-1]  # whatever its look
+        if mark and way[1] and base in marked:  # the object comes before its marks
+            member[number] = marked[base]
+            groups[marked[base]].marks[mark] = instance.look
+            continue
         if way not in known:
             known[way] = len(groups)
             groups.append(Group(way[0], instance if way[1] else None))
         member[number] = known[way]
+        if not mark:
+            marked[base] = known[way]
     return groups, member
 
 
@@ -185,7 +200,7 @@ class Picture:
         if not self.groups:  # the background alone
             self._resolve(Group("linear"), {"t_first": upload(np.zeros((1, 1, 4), np.float32))}, *options, size=(1, 1))
         elif len(self.groups) == 1:
-            self._resolve(self.groups[0], self._targets[0][0], *options, own=self.deep)
+            self._resolve(self.groups[0], self._targets[0][0], *options, own=self._kind(0)[1])
         else:
             for number, (space, textures) in enumerate(self._sums().items()):
                 self._resolve(Group(space), textures, *options, first=number == 0, own=True, summed=True)
@@ -228,11 +243,16 @@ class Picture:
         self.size = self._drawn = self._no_depth = self._sky = self._shown = self._put = self._before = None
 
     def _kind(self, number):
-        return self.groups[number].instance is not None, self.deep or len(self.groups) > 1
+        return self._kinds(self.groups, self.deep)[number]
+
+    @staticmethod
+    def _kinds(groups: list[Group], deep: bool) -> list[tuple[bool, bool]]:
+        """Of each group, whether it has features, and whether the splats' own share of alpha, depth and mark are blended, too."""
+        return [(group.instance is not None, deep or len(groups) > 1 or bool(group.marks)) for group in groups]
 
     def _resize(self, size, groups, deep):
-        kinds = [(g.instance is not None, deep or len(groups) > 1) for g in groups]
-        same = size == self.size and kinds == [self._kind(i) for i in range(len(self.groups))]
+        kinds = self._kinds(groups, deep)
+        same = size == self.size and kinds == self._kinds(self.groups, self.deep)
         self.groups, self.size, self.deep = groups, size, deep
         if not same:
             self._targets = [_target(size, *kind) for kind in kinds]

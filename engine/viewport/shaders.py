@@ -16,13 +16,14 @@ CORNERS = [(-1.0, -1.0), (1.0, -1.0), (-1.0, 1.0), (1.0, 1.0)]
 
 @cache
 def splats(features: bool, own: bool):
-    """(shader, batch) that blends splats: their colour, or nine features; if `own`, also their own share of alpha and their depth."""
+    """(shader, batch) that blends splats: their colour, or nine features; if `own`, also their own share of alpha,
+    their depth and their mark."""
     info = gpu.types.GPUShaderCreateInfo()
     between = gpu.types.GPUStageInterfaceInfo("fastgs_splat_iface")
     between.smooth('VEC2', "v_uv")
     between.flat('VEC4', "v_alpha")
     between.flat('VEC3', "v_first")
-    between.flat('VEC2', "v_own")
+    between.flat('VEC3', "v_own")
     info.vertex_in(0, 'VEC2', "corner")
     outputs = ["out_first"]
     if features:

@@ -59,6 +59,7 @@ class ObjectSettings:
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
+    mark      1 or -1: viewports show the instance as a mark on those Gaussians of its object, blended together with it; else 0
 
     Example:
         look = fg.ObjectSettings(exposure=0.5, saturation=0.8, opacity=0.6)
@@ -98,6 +99,7 @@ class ObjectSettings:
     density: float = 1.0
     antialias: bool = True
     bends: bool = True
+    mark: int = 0
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "crops", tuple(self.crops))
@@ -125,7 +127,8 @@ class ObjectSettings:
         """These settings with the looks of an object that instances this one on top; what is no look stays."""
         looks = {name: np.clip(look.joined(np.array(getattr(self, name)), getattr(above, name)), look.low, look.high).tolist()
                  for name, look in LOOKS.items()}
-        return replace(self, **looks, density=self.density * above.density, antialias=self.antialias and above.antialias)
+        return replace(self, **looks, density=self.density * above.density, antialias=self.antialias and above.antialias,
+                       mark=self.mark or above.mark)
 
 
 LOOKS: dict[str, Control] = {f.name: f.metadata["look"] for f in fields(ObjectSettings) if f.metadata}

@@ -39,6 +39,7 @@ class Look(IntEnum):
     LINEAR         whether the model's colours are scene linear
     FACTOR, POWER  of the colour
     MATRIX         nine numbers, row by row
+    MARK           see ObjectSettings; nothing is computed with it here
     """
 
     OPACITY = 0
@@ -52,6 +53,7 @@ class Look(IntEnum):
     FACTOR = 8
     POWER = 9
     MATRIX = 10
+    MARK = 19
 
 
 LOOK_NUMBERS = 20
@@ -69,6 +71,7 @@ def look_numbers(settings, colour_space: str) -> np.ndarray:
     row[Look.LINEAR] = colour_space == "linear"
     matrix, power, factor = _matrix(settings), settings.contrast / settings.gamma, GREY ** ((1 - settings.contrast) / settings.gamma)
     row[Look.FACTOR], row[Look.POWER], row[Look.MATRIX:Look.MATRIX + 9] = factor, power, matrix.ravel()
+    row[Look.MARK] = settings.mark
     row[Look.GRADED] = (factor, power) != (1, 1) or np.abs(matrix - np.eye(3)).max() > 1e-12
     return row
 

@@ -8,7 +8,7 @@ from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFS
 from ...rendering.looks import Look
 from .jit import inline
 
-OPACITY, FAINTEST, SCALE, SMALLEST, LARGEST, SIZED, GRADED, LINEAR, FACTOR, POWER, MATRIX = (int(place) for place in Look)
+OPACITY, FAINTEST, SCALE, SMALLEST, LARGEST, SIZED, GRADED, LINEAR, FACTOR, POWER, MATRIX, _ = (int(place) for place in Look)
 
 
 @inline

@@ -62,9 +62,11 @@ void main()
   vec4 first = texelFetch(t_first, pixel, 0);
   float alpha = first.a;
   float weight = alpha;
+  float mark = 0.0;
 #ifdef OWN
   vec4 own = texelFetch(t_own, pixel, 0);
   alpha = own.a;
+  mark = own.z;
   if (kind.z < 0.5) { weight = own.x; } /* else a sum of groups, which brings its weight along */
 #endif
   vec3 rgb = vec3(0.0);
@@ -81,7 +83,10 @@ void main()
     else {
       rgb = decoded(rgb, second / weight, third / weight, place, activation);
     }
+    int look = mark > 0.0 ? RESOLVE_SELECTED : RESOLVE_REFUSED;
+    vec3 marked = mark == 0.0 ? rgb : graded(rgb, row(look + 1), row(look + 2), row(look + 3), row(look + 4));
     rgb = graded(rgb, row(RESOLVE_LOOK + 1), row(RESOLVE_LOOK + 2), row(RESOLVE_LOOK + 3), row(RESOLVE_LOOK + 4));
+    rgb = mix(rgb, marked, min(abs(mark) / weight, 1.0));
 #endif
     vec4 frame = row(RESOLVE_FRAME);
     if (v_uv.x < frame.x || v_uv.y < frame.y || v_uv.x >= frame.z || v_uv.y >= frame.w) { rgb *= size.w; }

@@ -32,6 +32,7 @@ class ResolveTexel(IntEnum):
     LOOK        five texels of the decoder's instance, see rendering/looks.py
     SKY         width and height of the panorama that is the background, width and height of the camera's picture
     TO_WORLD    three rows from the camera's directions to the world's
+    SELECTED, REFUSED  five texels of the looks of what is marked with 1 and with -1
     """
 
     KIND = 0
@@ -49,9 +50,11 @@ class ResolveTexel(IntEnum):
     LOOK = DEPTHS + 1
     SKY = LOOK + LOOK_NUMBERS // 4
     TO_WORLD = SKY + 1
+    SELECTED = TO_WORLD + 3
+    REFUSED = SELECTED + LOOK_NUMBERS // 4
 
 
-TEXELS = ResolveTexel.TO_WORLD + 3
+TEXELS = ResolveTexel.REFUSED + LOOK_NUMBERS // 4
 """Length of the row."""
 
 
@@ -87,6 +90,8 @@ def resolve_table(camera: Camera, size, group, working: np.ndarray, background=N
         row[at.W1:at.W2] = appearance.w1.reshape(-1, 4)
         row[at.W2:at.WORKING, :3] = appearance.w2.T
         row[at.LOOK:at.SKY] = decoder.look.reshape(-1, 4)
+        for mark, place in ((1, at.SELECTED), (-1, at.REFUSED)):
+            row[place:place + LOOK_NUMBERS // 4] = group.marks.get(mark, decoder.look).reshape(-1, 4)
     row[at.WORKING:at.WORKING + 3, :3] = working
     row[at.FRAME] = frame
     if depths:

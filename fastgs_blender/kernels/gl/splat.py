@@ -127,7 +127,7 @@ void main()
   v_second = vec3(0.0);
   v_third = vec3(0.0);
 #endif
-  v_own = vec2(0.0);
+  v_own = vec3(0.0);
 
   vec4 size = view_texel(VIEW_SIZE), centre = view_texel(VIEW_CENTRE), limits = view_texel(VIEW_LIMITS);
   vec4 depths = view_texel(VIEW_DEPTHS), counts = view_texel(VIEW_COUNTS);
@@ -229,6 +229,7 @@ void main()
   v_first = colour_texel(at).xyz;
   v_second = colour_texel(at + 1).xyz;
   v_third = colour_texel(at + 2).xyz * delta;
+  v_own.z = instance_texel(o, INSTANCE_LOOK + 4).w;
 #else
   vec3 d = orthographic ? eye.xyz : p - eye.xyz;
   v_first = colour_now(o, at, whole(where_colour.z), whole(where_colour.w), whole(where_geometry.w) == COLOURS_HARMONICS,
@@ -257,7 +258,7 @@ void main()
   out_third = vec4(v_third * alpha, alpha);
 #endif
 #ifdef OWN
-  out_own = vec4(v_own * alpha, 0.0, alpha);
+  out_own = vec4(v_own * alpha, alpha);
 #endif
 }
 """

@@ -230,6 +230,24 @@ def test_objects_that_interpenetrate_are_one_cloud(module, fg, moving, camera, d
     assert psnr(alone, want) < 30
 
 
+@pytest.mark.parametrize("look", ["rgb", "sigmoid", "sigmoid premultiplied"])
+def test_a_selection_is_blended_with_its_object(module, fg, moving, camera, drawn, look):
+    """What is selected, refused or neither is one group, and looks as three would: a redraw costs what it costs without a selection."""
+    files, pack = module("scene.snapshot"), module("fastgs_blender.rendering.masks").pack_mask
+    model = moving(fg.RGB() if look == "rgb" else decoder(fg, look), temporal=fg.Always(), opacity=np.full(300, 4.0))
+    x, own = model.position[:, 0], fg.ObjectSettings(exposure=0.3)
+    kinds = {-1: x < np.quantile(x, 0.3), 0: (x >= np.quantile(x, 0.3)) & (x <= np.quantile(x, 0.6)), 1: x > np.quantile(x, 0.6)}
+    looks = {0: own, 1: own.under(files.SELECTED), -1: own.under(files.REFUSED)}
+    parts = [(model, np.eye(4), 0.3, replace(looks[mark], mask=pack(~kinds[mark]))) for mark in (0, 1, -1)]
+    eye = camera()
+    viewed = [module("fastgs_blender.rendering.instances").Instance(*part).viewed(eye) for part in parts]
+    assert [each.settings.mark for each in viewed] == [0, 1, -1]
+    assert len(module("engine.viewport.picture").grouped(viewed)[0]) == 1
+    want, got, plain = expected(module, parts, eye), drawn(parts, eye), expected(module, [(model, np.eye(4), 0.3, own)], eye)
+    assert psnr(got, want) >= (45 if look == "rgb" else 26) and psnr(plain, want) < 20
+    np.testing.assert_allclose(got[..., 3], want[..., 3], atol=0.01)
+
+
 def test_the_order_matters(module, fg, moving, camera, drawn):
     """Otherwise the tests above would prove nothing about sorting."""
     parts, eye = [(moving(fg.RGB(), temporal=fg.Always(), opacity=np.full(300, 3.0)), np.eye(4), 0.0)], camera()

@@ -1,0 +1,49 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Selecting things in a window: each tool by what is seen and through, a click, keys, Clean Up, and a new file without what was erased."""
+from __future__ import annotations
+
+import numpy as np
+from conftest import read_png
+
+import fastgs_blender as fg
+from fastgs_blender.rendering.masks import unpack_mask
+
+
+def test_things_are_selected_and_deleted(user, model):
+    whole, path = model
+    facts = user.story("selecting_window.things", window=True, model=path)
+    count, disc = len(whole), np.arange(len(whole)) < len(whole) // 5
+    bits = {name: unpack_mask(text, count) for name, text in facts["selections"].items()}
+    for tool in ("box", "lasso", "brush", "ball"):
+        seen, through = bits[f"{tool} seen"], bits[f"{tool} through"]
+        assert 20 < seen.sum() < 0.95 * through.sum() and not (seen & ~through).any(), tool
+    np.testing.assert_array_equal(unpack_mask(facts["erased"], count), bits["ball through"])
+
+    assert facts["grown"] and facts["one step"], "a click and its growing are one step of undo"
+    assert overlap(bits["clicked"], ~disc) > 0.9, "the ribbon was clicked"
+    refused = unpack_mask(facts["refused"], count)
+    assert refused.any() and not (bits["strokes"] & refused).any()
+    assert facts["grown by key"] and overlap(bits["disc"], disc) > 0.9, "the disc was drawn over, and the ribbon with Ctrl"
+    erased = unpack_mask(facts["disc erased"], count)
+    np.testing.assert_array_equal(erased, bits["disc"])
+    assert facts["shown erased"]
+
+    def share(name, mask):
+        red, green, blue = np.moveaxis(read_png(user.folder / f"{name}.png")[60:-60, 60:1000, :3], -1, 0)
+        return mask(red, green, blue).mean()
+
+    orange = lambda r, g, b: (r > 2.5 * b) & (r > 1.2 * g) & (r > 0.25)  # noqa: E731
+    red = lambda r, g, b: (r > 4 * g) & (r > 0.25)  # noqa: E731
+    assert share("things-clicked", orange) > share("things-before", orange) + 0.03
+    assert share("things-shown-erased", red) > share("things-grown", red) + 0.03
+
+    cleaned = unpack_mask(facts["cleaned"], count)
+    assert not (erased & ~cleaned).any()
+    assert facts["asks"] and facts["proposed"].endswith(".safetensors")
+    assert facts["written"] and facts["kept"] and facts["left"] == count - cleaned.sum()
+    np.testing.assert_allclose(fg.load(user.folder / "things-left.safetensors").position, whole.position[~cleaned], atol=1e-6)
+
+
+def overlap(found, truth):
+    """Intersection over union."""
+    return (found & truth).sum() / (found | truth).sum()
