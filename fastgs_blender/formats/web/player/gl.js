@@ -4,7 +4,7 @@ import { PageError } from "./errors.js";
 import { SHADERS } from "./shaders.js";
 
 const HEAD = "#version 300 es\nprecision highp float;\nprecision highp int;\nprecision highp sampler2D;\n";
-const FLAT = { v_alpha: "vec4", v_first: "vec3", v_own: "vec2" }, FEATURES = { v_second: "vec3", v_third: "vec3" };
+const FLAT = { v_alpha: "vec4", v_first: "vec3", v_own: "vec3" }, FEATURES = { v_second: "vec3", v_third: "vec3" };
 
 /** The canvas's WebGL2, the same at each call; throws PageError where there is none. */
 export function contextOf(canvas) {
