@@ -118,7 +118,7 @@ def redraws(count: int = 300_000, frames: int = 5):
         framebuffer = gpu.state.active_framebuffer_get()
 
         def redraw(name, moment):
-            views[name].draw(moment, camera, display, wait=True)
+            views[name].draw(moment, camera, display, wait=True, deep=True)  # as with overlays, without which no selection is shown
             timing.wait_for_gpu(framebuffer)
 
         for number in range(frames + 1):

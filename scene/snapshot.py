@@ -177,6 +177,7 @@ def instance_of(obj, depsgraph, placement: np.ndarray, final: bool = False, make
         settings = settings_of(obj, depsgraph, final)
         if maker is not None and maker != obj and not objects.is_splat(maker):
             settings = settings.under(looks_of(maker, final))
+        settings = replace(settings, casts=obj.visible_shadow and (maker is None or maker.visible_shadow))
     except fg.FastGSError as error:
         trouble = str(error)
     return FileInstance(obj.name, objects.abspath(obj), placement, retime_of(obj, clock(depsgraph.scene)[0]), settings, obj.pass_index,

@@ -211,6 +211,7 @@ class FASTGS_PT_ray_visibility(_Engine, bpy.types.Panel):
     def draw(self, context):
         layout = split(self.layout)
         layout.prop(context.object, "visible_camera", text="Camera")
+        layout.prop(context.object, "visible_shadow", text="Shadow")
         if context.object.type in objects.MESHABLE and not objects.is_splat(context.object):
             draw_column(layout, context.object.fastgs, "hides_splats",
                         active=context.scene.fastgs.use_meshes or holdout.with_meshes(context.scene))

@@ -129,7 +129,8 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
         more = Layout(instances, False, {"shares": shares(instances, objects[i * AT_ONCE:(i + 1) * AT_ONCE])}, planes, settings.by_pixel)
         drawn = backend.draw(instances, camera, more, (), lambda f, i=i: progress((i + f) / draws), holdout=holdout)
         parts.append(backend.numpy(drawn.sums["shares"]))
-    shadows = {entry.name: shadow.picture(backend, instances, camera, progress)
+    casting = [each for each in instances if each.settings.casts]
+    shadows = {entry.name: shadow.picture(backend, casting, camera, progress)
                for entry, shadow in zip(SHADOWS, settings.shadows, strict=False) if entry.name in needs}
     return Blended(camera, rgb, backend.numpy(buffers.alpha), sums, probes, objects, np.concatenate(parts, -1) if parts else None,
                    None if buffers.held is None else backend.numpy(buffers.held), shadows)

@@ -59,6 +59,7 @@ class ObjectSettings:
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
     antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
+    casts     whether its splats throw shadows
     mark      1 or -1: viewports show the instance as a mark on those Gaussians of its object, blended together with it; else 0
 
     Example:
@@ -99,6 +100,7 @@ class ObjectSettings:
     density: float = 1.0
     antialias: bool = True
     bends: bool = True
+    casts: bool = True
     mark: int = 0
 
     def __post_init__(self) -> None:
@@ -128,7 +130,7 @@ class ObjectSettings:
         looks = {name: np.clip(look.joined(np.array(getattr(self, name)), getattr(above, name)), look.low, look.high).tolist()
                  for name, look in LOOKS.items()}
         return replace(self, **looks, density=self.density * above.density, antialias=self.antialias and above.antialias,
-                       mark=self.mark or above.mark)
+                       casts=self.casts and above.casts, mark=self.mark or above.mark)
 
 
 LOOKS: dict[str, Control] = {f.name: f.metadata["look"] for f in fields(ObjectSettings) if f.metadata}

@@ -71,7 +71,8 @@ class SceneLight:
             return list(instances)
         out = list(instances)
         surfaces = [_Surface(instances[number].viewed(camera), backend) for number in wanted]
-        arriving = self._arriving(_Spots(surfaces), [each for each in instances if len(each.model)], backend, progress)
+        casting = [each for each in instances if len(each.model) and each.settings.casts]
+        arriving = self._arriving(_Spots(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
         for number, surface, *light in zip(wanted, surfaces, *(np.split(each, ends) for each in arriving)):
             bare, meshes, all_ = light

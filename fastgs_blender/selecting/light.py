@@ -2,6 +2,7 @@
 """How much of the light of a picture comes from each Gaussian: what is seen, and how much of it."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from functools import cached_property
 
@@ -28,20 +29,23 @@ class Light:
     camera  the camera of that picture, which is smaller
     """
 
-    def __init__(self, instances: list[Instance], camera: Camera):
+    def __init__(self, instances: Sequence[Instance], camera: Camera):
         self.camera = small(camera)
         self._drawn = load_backend("cpu").light([_plain(each).viewed(self.camera) for each in instances], self.camera)
 
-    def of(self, mask: np.ndarray) -> list[tuple[np.ndarray, np.ndarray, np.ndarray]]:
-        """Of each instance the light of its Gaussians in pixels, [N] float32 each: within a mask [h, w] (0..1) of the small picture, in
-        the whole of it, and what it would be with nothing before them."""
-        within = self._drawn.over(np.asarray(mask, np.float32)[..., None])
-        return [(part[:, 0], *rest) for part, rest in zip(within, self._whole, strict=True)]
+    def within(self, mask: np.ndarray) -> list[np.ndarray]:
+        """Of each instance the light of its Gaussians within a mask [h, w] (0..1) of the small picture, in its pixels: [N] float32."""
+        return [part[:, 0] for part in self._drawn.over(np.asarray(mask, np.float32)[..., None])]
 
     @cached_property
-    def _whole(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        whole = self._drawn.over(np.ones((self.camera.height, self.camera.width, 1), np.float32))
-        return [(part[:, 0], alone) for part, alone in zip(whole, self._drawn.alone(), strict=True)]
+    def whole(self) -> list[np.ndarray]:
+        """The same in the whole of the picture."""
+        return self.within(np.ones((self.camera.height, self.camera.width)))
+
+    @cached_property
+    def alone(self) -> list[np.ndarray]:
+        """What it would be with nothing before them, and no edge of the picture."""
+        return self._drawn.alone()
 
 
 def _plain(instance: Instance) -> Instance:

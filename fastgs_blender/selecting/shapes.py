@@ -117,7 +117,7 @@ def seen_under(instances: list[ViewedInstance], camera: Camera, shape: Shape, li
     light  theirs, for further strokes in one view; None: it is made
     """
     light, found = light or Light(instances, camera), []
-    for instance, (within, _, alone) in zip(instances, light.of(_mask(shape, camera, light)), strict=True):
+    for instance, within, alone in zip(instances, light.within(_mask(shape, camera, light)), light.alone, strict=True):
         index = np.flatnonzero((within > 0) & (within >= np.minimum(SEEN, SHARE * alone)))
         found.append(_as_source(instance, index[_holds(instance, camera, shape, index)]))
     return found
@@ -131,7 +131,7 @@ def touched(instances: list[ViewedInstance], camera: Camera, shape: Shape, light
     """
     light = light or Light(instances, camera)
     return [_as_source(instance, np.flatnonzero((within >= SEEN) & (within >= own * whole)))
-            for instance, (within, whole, _) in zip(instances, light.of(_mask(shape, camera, light)), strict=True)]
+            for instance, within, whole in zip(instances, light.within(_mask(shape, camera, light)), light.whole, strict=True)]
 
 
 def _around(pixel: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

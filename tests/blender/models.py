@@ -19,6 +19,22 @@ def knot(n: int = 20_000, seed: int = 3) -> fg.GaussianModel:
     return fg.GaussianModel(**fields, basis=fg.Fourier(2), clip=fg.Clip(FRAMES, 24.0), axes="RFU")
 
 
+def ball(n: int = 9_000, seed: int = 4) -> fg.GaussianModel:
+    """A red ball, the first two thirds of the Gaussians, that rises and sinks over a disc."""
+    rng = np.random.default_rng(seed)
+    count = 2 * n // 3
+    normal = rng.normal(size=(count, 3))
+    normal /= np.linalg.norm(normal, axis=1, keepdims=True)
+    motion = np.zeros((count, 4, 3))
+    motion[:, 0, 2] = 0.15
+    round_ = dict(position=0.6 * normal + [0, 0, 0.95], motion=motion, rotation=rng.normal(size=(count, 4)),
+                  scale=np.full((count, 3), np.log(0.025)), opacity=np.full(count, 3.0),
+                  features=np.array([0.75, 0.2, 0.15]) + rng.uniform(-0.03, 0.03, (count, 3)))
+    disc = _disc(rng, n - count)
+    fields = {name: np.concatenate([round_[name], disc[name]]) for name in disc}
+    return fg.GaussianModel(**fields, basis=fg.Fourier(2), clip=fg.Clip(FRAMES, 24.0), axes="RFU")
+
+
 def _ribbon(rng, n):
     along, across = rng.uniform(0, 2 * np.pi, n), rng.uniform(-1, 1, n)
     ring = 1.0 + 0.38 * np.cos(3 * along)

@@ -37,8 +37,8 @@ def things(model):
     def keep(name):
         facts["selections"][name] = splat().fastgs.selection
 
-    for tool, way in (("box", ((-90, -60), (40, 70))), ("lasso", ((-90, -60), (60, -80), (40, 70), (-60, 60))),
-                      ("brush", ((-100, 0), (-40, 10), (20, 20))), ("ball", ((-60, 0), (-10, 0)))):
+    for tool, way in (("box", ((-60, 0), (60, 90))), ("lasso", ((-70, -10), (60, 0), (50, 80), (-50, 90))),
+                      ("brush", ((-40, 30), (0, 40), (40, 30))), ("ball", ((0, 40), (40, 40)))):
         yield from choose(f"fastgs.select_{tool}", area)
         for through in (False, True):
             scene.fastgs.select_through = through
@@ -48,13 +48,13 @@ def things(model):
     scene.fastgs.select_through = False
     yield from press('X', area)
     facts["erased"] = splat().fastgs.mask
-    yield from settled("things-erased")
+    shot("things-erased")
     with within(area):
         bpy.ops.ed.undo()
     yield from choose("fastgs.select_thing", area)
     before = splat().fastgs.selection
-    yield from drag(at((-60, 20), (-60, 20)))
-    facts["grown"] = yield from until(lambda: selected() > 5000)
+    yield from drag(at((0, 40), (0, 40)))
+    facts["grown"] = yield from until(lambda: selected() > 3000, 180)
     keep("clicked")
     yield from settled("things-clicked")
     with within(area):
@@ -63,14 +63,14 @@ def things(model):
     yield from press('E', area)
     facts["shown erased"] = scene.fastgs.show_erased
     yield from choose("fastgs.select_brush", area)
-    scene.fastgs.brush_radius = 15
-    yield from drag(at((-20, -190), (40, -190)))
-    yield from drag(at((-90, 0), (-60, 20)), ctrl=True)
+    scene.fastgs.brush_radius = 12
+    yield from drag(at((-70, -120), (0, -125), (70, -120)))
+    yield from drag(at((-40, 20), (0, 60), (40, 30)), ctrl=True)
     keep("strokes")
     facts["refused"] = splat().fastgs.refused
     count = selected()
     yield from press('L', area)
-    facts["grown by key"] = yield from until(lambda: selected() > 2 * count)
+    facts["grown by key"] = yield from until(lambda: selected() > 2 * count, 180)
     keep("disc")
     yield from settled("things-grown")
     yield from press('X', area)

@@ -72,19 +72,36 @@ def test_look(pair, render):
     assert after[:, 32:, 1].max() < 1e-5 < before[:, 32:, 1].max() and after[:, 32:, 3].sum() < 0.9 * before[:, 32:, 3].sum()
 
 
-def test_density(pair, render):
+def taken(module):
+    """What viewports show."""
+    return module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get(), rendered=False)
+
+
+def test_density(pair, render, module):
     before = alpha(render)
+    pair[1].fastgs.viewport_density = 0.5
+    assert alpha(render) == pytest.approx(before, rel=1e-5)
+    assert {item.name: item.settings.density for item in taken(module).instances} == {"Ball": 0.5, pair[0].name: 1.0}
     pair[1].fastgs.density = 0.3
     after = alpha(render)
     assert after[0] == pytest.approx(before[0], rel=1e-5) and after[1] < 0.6 * before[1]
 
 
 def test_time(pair, module, scene):
-    """Offset, freeze and trim are its own."""
-    pair[1].fastgs.start_frame = -1
-    instances = {item.name: instance.t for item, instance in module("scene.snapshot").take(
-        bpy.context.evaluated_depsgraph_get()).pairs()[0]}
-    assert instances["Ball"] - instances[pair[0].name] == pytest.approx(0.2, abs=1e-6)
+    """Start, speed, offset, freeze and trim are its own; 0.1 of t are a frame."""
+    def ahead():
+        bpy.context.view_layer.update()
+        instances = {item.name: instance.t for item, instance in taken(module).pairs()[0]}
+        return instances["Ball"] - instances[pair[0].name]
+
+    own = pair[1].fastgs
+    for name, value, before, frames in (("start_frame", -1, 1, 2), ("offset", 3, 0, 3), ("speed", 2, 1, 2), ("speed", 0, 1, -2)):
+        setattr(own, name, value)
+        assert ahead() == pytest.approx(0.1 * frames, abs=1e-6), name
+        setattr(own, name, before)
+    own.use_capture_frame, own.capture_frame = True, 7
+    assert ahead() == pytest.approx(0.5, abs=1e-6)  # frozen on its seventh frame
+    own.use_capture_frame, own.start_frame = False, -1
     pair[1].fastgs.before, pair[1].fastgs.trim_start = 'HIDE', 8
     pair[1].fastgs.start_frame = 9
     scene.frame_set(3)
@@ -174,14 +191,17 @@ def test_geometry_nodes(pair, render, module, scene):
     assert right < 0.02 * before[1] and left > 1.05 * before[0]
 
 
-def test_camera_visibility_and_shadow_switches(pair, render, scene):
-    """Ray Visibility is the part's own; other engines see its points and their shadows by the same switches."""
+def test_camera_visibility_and_shadow_switches(pair, render, module):
+    """Ray Visibility is the part's own: whether renders show it, and whether it throws shadows (tests/library/rendering/test_shadow.py)."""
     whole = alpha(render)
     pair[1].visible_camera = False
     left, right = alpha(render)
     assert right == 0 and left == pytest.approx(whole[0], rel=1e-5)
+    pair[1].visible_camera = True
     pair[1].visible_shadow = False
-    assert pair[0].visible_shadow and pair[0].visible_camera
+    bpy.context.view_layer.update()
+    assert {item.name: item.settings.casts for item in taken(module).instances} == {"Ball": False, pair[0].name: True}
+    assert alpha(render) == pytest.approx(whole, rel=1e-5)
 
 
 def test_instances(pair, render, scene):
@@ -266,13 +286,20 @@ def test_web_page(pair, fg, tmp_path, scene, module, monkeypatch):
 
 
 def test_undo(pair, module):
-    """Separate is one step."""
+    """Separate, which made the part, and Join Parts are one step each."""
+    bits, whole = module("scene.selection").bits, pair[0].name
     bpy.ops.ed.undo_push(message="Separated")
-    bpy.ops.fastgs.show_whole()
-    bpy.ops.ed.undo_push(message="Shown")
-    assert bpy.data.objects["Ball"].fastgs.part == ""
+    for obj in pair:
+        obj.select_set(True)
+    bpy.context.view_layer.objects.active = pair[0]
+    assert bpy.ops.fastgs.join_parts() == {'FINISHED'}
+    bpy.ops.ed.undo_push(message="Joined")
+    assert "Ball" not in bpy.data.objects and bpy.data.objects[whole].fastgs.part == ""
     bpy.ops.ed.undo()
-    assert module("scene.selection").bits(bpy.data.objects["Ball"], "part").tolist() == MINE.tolist()
+    assert bits(bpy.data.objects["Ball"], "part").tolist() == MINE.tolist()
+    assert bits(bpy.data.objects[whole], "part").tolist() == (~MINE).tolist()
+    bpy.ops.ed.redo()
+    assert "Ball" not in bpy.data.objects
 
 
 def test_saved_and_opened(pair, module, tmp_path):
@@ -304,6 +331,8 @@ def test_append_and_link(library, module, scene, link):
         wanted.objects = ["Ball"]
     scene.collection.objects.link(wanted.objects[0])
     assert shown_counts(module) == [20]
+    scene.collection.objects.link(wanted.objects[0].parent)
+    assert shown_counts(module) == [20, 60]
 
 
 def test_override(library, module, scene):
@@ -317,6 +346,9 @@ def test_override(library, module, scene):
     assert mine.fastgs.part == linked.fastgs.part and not linked.fastgs.mask
     (instance,), _ = module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get()).load()
     assert instance.hidden.sum() == 10 and len(instance.model) == 20
+    bpy.context.view_layer.objects.active = mine
+    assert bpy.ops.fastgs.show_whole() == {'FINISHED'} and linked.fastgs.part
+    assert shown_counts(module) == [N]
 
 
 def test_duplicates_and_another_scene(pair, module, scene):

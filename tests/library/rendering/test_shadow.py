@@ -64,6 +64,13 @@ def test_a_lamp_nearby_enlarges_a_shadow_and_its_size_softens_it():
     assert (dark.max(0) > 0.02).sum() > 1.5 * (dark.max(1) > 0.02).sum()  # wide along the panel alone
 
 
+def test_what_casts_no_shadow_throws_none():
+    both = [(ball(x, 0, 2), np.eye(4), 0.0, fg.ObjectSettings(casts=casts)) for x, casts in ((1, False), (-1, True))]
+    found = shadow(both, Light.sun((0, 0, 1)))
+    assert at(found, 1, 0) == 1 and at(found, -1, 0) < 0.2
+    assert shadow(both[:1], Light.sun((0, 0, 1))).min() == 1
+
+
 def test_splats_behind_and_on_a_surface_cast_none():
     assert shadow(ball(0, 0, -1), Light.sun((0, 0, 1))).min() == 1
     floor = fg.GaussianModel(position=[[x, y, 0.02] for x in range(-9, 10) for y in range(-9, 10)],

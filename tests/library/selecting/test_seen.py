@@ -42,7 +42,8 @@ def test_light_is_the_gradient_of_the_picture(seed):
     change[k] = 0.5
     pictures = [fg.render([replace(two[0], model=replace(model, features=model.features + side * change)), two[1]], CAMERA)["rgb"][..., 0]
                 for side in (-1, 1)]
-    within, whole, alone = (part[k] for part in Light(two, CAMERA).of(mask)[0])
+    light = Light(two, CAMERA)
+    within, whole, alone = (found[0][k] for found in (light.within(mask), light.whole, light.alone))
     difference = (pictures[1] - pictures[0]).astype(np.float64)
     for value, wanted in ((within, difference[mask].sum()), (whole, difference.sum())):
         assert value == pytest.approx(wanted, rel=1e-3, abs=2e-3)
