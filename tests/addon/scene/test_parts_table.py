@@ -72,6 +72,16 @@ def test_look(pair, render):
     assert after[:, 32:, 1].max() < 1e-5 < before[:, 32:, 1].max() and after[:, 32:, 3].sum() < 0.9 * before[:, 32:, 3].sum()
 
 
+def test_scene_light(pair, render):
+    """How much of the captured light and of lamps it takes is its own."""
+    before = render()["ViewLayer.Combined"]
+    pair[1].fastgs.captured_light = 0.0
+    after = render()["ViewLayer.Combined"]
+    np.testing.assert_allclose(after[:, :32], before[:, :32], atol=1e-6)
+    assert after[:, 32:, :3].max() < 1e-3 < before[:, 32:, :3].max()
+    np.testing.assert_allclose(after[..., 3], before[..., 3], atol=1e-6)
+
+
 def taken(module):
     """What viewports show."""
     return module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get(), rendered=False)
