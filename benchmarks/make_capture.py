@@ -7,6 +7,7 @@
     python benchmarks/make_capture.py --scene my.glb --action Walk --cameras 24 --frames 60 --size 640x480 --out captures/mine
 
 Writes cameras.json, camNN/0001.png ... and masks/camNN/0001.png (white: what moves); cam00 is held out and stands among the others.
+--beside films the same scene from beside the rig, --depth writes depth/camNN/0001.npy as well: truths for views that no camera had.
 A file without lights gets a floor, surroundings and light.  Pictures that are there already are kept, so a stopped run goes on.
 """
 from __future__ import annotations
@@ -36,6 +37,8 @@ ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
 PRESETS = {"robot": dict(cameras=18, frames=40, size="480x360", samples=8, angle=42.0, distance=0.9),
            "procedural": dict(cameras=14, frames=30, size="320x240", samples=8, angle=42.0, distance=0.78),
            "room": dict(cameras=18, frames=48, size="400x300", samples=16, angle=44.0, distance=1.0)}
+SKY = 1e9
+"""Depth from which on Cycles means that nothing was hit."""
 MADE = {"procedural": scenes.procedural, "room": room_scene.furnished}
 """The scenes that are made here, of so many frames; others are read from files."""
 
@@ -66,9 +69,17 @@ def main():
         eyes, centre = room_scene.rig(options.cameras)
     else:
         eyes = centre + distance * generated.directions(options.cameras, options.rig)
+    eyes = beside(eyes, centre, options.beside)
     poses = {f"cam{k:02}": look_at(eye, centre) for k, eye in enumerate(eyes)}
     write_description(options, poses, (width, height, focal), scene.render.fps / step)
     render(options, set_up(scene, width, height, focal, options), poses, times, {o.name for o in subject})
+
+
+def beside(eyes, centre, degrees: float) -> np.ndarray:
+    """The eyes [N, 3], each turned farther from the front (-y) around the vertical through the centre [3], to its own side."""
+    x, y, z = (eyes - centre).T
+    turn = np.radians(degrees) * np.where(x < 0, -1, 1)
+    return centre + np.stack([np.cos(turn) * x - np.sin(turn) * y, np.sin(turn) * x + np.cos(turn) * y, z], 1)
 
 
 def parse():
@@ -81,6 +92,8 @@ def parse():
     parser.add_argument("--size", help="of a picture, as 480x360")
     parser.add_argument("--samples", type=int, help="of Cycles, for each pixel; denoised")
     parser.add_argument("--rig", choices=("dome", "arc"), default="dome")
+    parser.add_argument("--beside", type=float, default=0.0, metavar="DEGREES", help="turn each camera so far to its own side")
+    parser.add_argument("--depth", action="store_true", help="write depths along the view, float32, inf where nothing is")
     parser.add_argument("--angle", type=float, help="vertical angle of view in degrees")
     parser.add_argument("--distance", type=float, help="of the cameras; 1: the subject's sphere just fits")
     parser.add_argument("--only-frames", type=int, help="stop after so many pictures (to look at them first); every n-th is taken")
@@ -104,6 +117,7 @@ def write_description(options, poses, lens, fps):
     cameras = [dict(name=name, **pinhole, world_to_camera=matrix.tolist()) for name, matrix in poses.items()]
     made = {"scene": options.scene if options.scene in MADE else options.file.name, "action": options.action,
             "rig": options.rig, "samples": options.samples, "blender": bpy.app.version_string}
+    made |= {"beside": options.beside} if options.beside else {}
     files = {"cameras.json": {"format": "fast-gs capture", "version": 1, "fps": fps, "start_frame": 1, "frame_count": options.frames,
                               "axes": "RFU", "held_out": ["cam00"], "cameras": cameras},
              "make_capture.json": made}
@@ -140,6 +154,7 @@ def set_up(scene, width, height, focal, options):
     render.image_settings.file_format, render.image_settings.color_depth = 'OPEN_EXR_MULTILAYER', '32'
     for layer in scene.view_layers:
         layer.use_pass_cryptomatte_object, layer.pass_cryptomatte_depth = True, 6
+        layer.use_pass_z = options.depth
     camera = bpy.data.objects.new("Capture", bpy.data.cameras.new("Capture"))
     scene.collection.objects.link(camera)
     scene.camera = camera
@@ -171,11 +186,12 @@ def render(options, camera, poses, times, subject):
                 last = frame
             camera.matrix_world = Matrix((np.linalg.inv(poses[name]) @ np.diag([1, -1, -1, 1])).tolist())
             bpy.ops.render.render(write_still=True)
-            save(bpy.context.scene.render.filepath, subject, picture, mask)
+            depth = options.out / "depth" / name / f"{picture.stem}.npy" if options.depth else None
+            save(bpy.context.scene.render.filepath, subject, picture, mask, depth)
 
 
-def save(path, subject, picture, mask):
-    """The denoised image as sRGB (view transform Standard), and how much of each pixel the subject covers."""
+def save(path, subject, picture, mask, depth):
+    """The denoised image as sRGB (view transform Standard), how much of each pixel the subject covers, and depths if wanted."""
     import OpenEXR
     from PIL import Image
 
@@ -185,6 +201,10 @@ def save(path, subject, picture, mask):
     rgb = np.stack([planes[f"Combined.{c}"] for c in "RGB"], -1)
     manifest = next(value for name, value in header.items() if name.startswith("cryptomatte/") and name.endswith("/manifest"))
     cover = generated.cover(planes, manifest, subject)
+    if depth is not None:
+        depth.parent.mkdir(parents=True, exist_ok=True)
+        plane = next(plane for name, plane in planes.items() if name.startswith("Depth."))
+        np.save(depth, np.where(plane < SKY, plane, np.inf).astype(np.float32))
     images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), cover]
     for target, image in zip((picture, mask), images):
         with replacing([target]) as (part,), part.open("wb") as file:

@@ -9,6 +9,7 @@
     capture = fg.open_capture("my-capture")                       # films of several cameras
     problems = fg.check("my-capture").verdict                     # what would make a model of them poor
     trained = fg.train("my-capture", "run", preset="draft")       # a model of these
+    cleaned = model.take(~fg.clean(model).taken)                  # without floaters and haze
     measures = fg.evaluate(trained, capture)["average"]           # how close it is
     baked, report = fg.bake(positions, triangles)                 # a model of an animated mesh, without training
     meshes = fg.make_mesh(model, t=0.25)                          # and a mesh of a model, which moves as it does
@@ -54,6 +55,7 @@ if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .rendering.images import save_image
     from .rendering.instances import Instance, ObjectSettings
     from .rendering.passes import PassSettings
+    from .selecting.clean import Cleaning, clean
     from .surfaces.bake import BakeReport, bake
     from .surfaces.making import MovingMesh, make_mesh
     from .training.run.launch import train
@@ -68,7 +70,7 @@ PLACES = {
     "model.slicing": "Slice freeze slice_model", "model.surroundings": "Backdrop Surroundings Viewpoint",
     "model.temporal": "Always Radial Window WindowedRadial", "rendering.api": "render", "rendering.crops": "Crop",
     "rendering.exposure": "Aperture Exposure", "rendering.images": "save_image", "rendering.instances": "Instance ObjectSettings",
-    "rendering.passes": "PassSettings", "surfaces.bake": "BakeReport bake",
+    "rendering.passes": "PassSettings", "selecting.clean": "Cleaning clean", "surfaces.bake": "BakeReport bake",
     "surfaces.making": "MovingMesh make_mesh", "training.run.launch": "train",
 }
 """The modules that define the public names; each is imported when one of its names is used first."""
@@ -76,13 +78,12 @@ _place_of = {name: place for place, names in PLACES.items() for name in names.sp
 
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Clip", "Clocks",
-    "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Instance", "Keyframes", "LossWarning",
-    "MovingMesh", "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice", "Static",
-    "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "bake", "check", "concatenate", "dolly", "evaluate", "find_offsets",
-    "freeze", "load",
-    "load_cameras", "look_at", "make_mesh", "open_capture", "open_source", "orbit", "psnr", "render", "save", "save_cameras", "save_image",
-    "slice_model", "through", "train", "write_clocks",
+    "RGB", "SH", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Cleaning", "Clip",
+    "Clocks", "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Instance", "Keyframes",
+    "LossWarning", "MovingMesh", "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice",
+    "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "bake", "check", "clean", "concatenate", "dolly",
+    "evaluate", "find_offsets", "freeze", "load", "load_cameras", "look_at", "make_mesh", "open_capture", "open_source", "orbit",
+    "psnr", "render", "save", "save_cameras", "save_image", "slice_model", "through", "train", "write_clocks",
 ]
 
 

@@ -18,7 +18,7 @@ GROUPS = {
                               "train", "evaluate"),
     "Baking, and meshes of models": ("bake", "BakeReport", "make_mesh", "MovingMesh"),
     "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze",
-               "concatenate", "Edit", "Parts"),
+               "concatenate", "Edit", "Parts", "clean", "Cleaning"),
     "How Gaussians move": ("Static", "Fourier", "Cosine", "Polynomial", "Keyframes"),
     "How they come and go": ("Always", "Radial", "Window", "WindowedRadial"),
     "How they look": ("RGB", "SH", "Features", "Changing"),

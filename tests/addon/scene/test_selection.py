@@ -2,9 +2,8 @@
 """Gaussians that are hidden by hand: what F12 shows, what undo and .blend files keep, the operators."""
 from __future__ import annotations
 
-from dataclasses import replace
-
 import bpy
+import dirty_rooms
 import numpy as np
 import pytest
 
@@ -121,30 +120,40 @@ def test_only_what_is_seen_is_selected_unless_through(fg, module, model_file, ad
     assert sight.ball((2, 2), 8) is None
 
 
-def test_clean_up_proposes_and_its_amount_changes_it(fg, make_model, model_file, module):
-    """A dense sheet is left; lone Gaussians, a needle and haze before a camera are hidden, each for its reason; nothing at the amount 0."""
-    rng, n = np.random.default_rng(4), 8000
-    sheet = rng.uniform(-1, 1, (n, 3)) * (1, 0, 1)
-    position = np.concatenate([sheet, rng.uniform(-1, 1, (6, 3)) * (1, 5, 5) + (9, 0, 0), [[0, 0, 0.1], [0.1, -5.5, 0]]])
-    scale = np.full((n + 8, 3), np.log(0.03))
-    scale[n + 6, 0] = np.log(3.0)
-    model = make_model(n + 8, position=position, scale=scale, opacity=np.where(np.arange(n + 8) == n + 7, -1.0, 3.0), axes="RFU")
-    camera = module("fastgs_blender.model.surroundings").Viewpoint(
-        width=100, height=100, fx=100, fy=100, cx=50, cy=50, position=(0, -6, 0), rotation=(0.7071068, -0.7071068, 0, 0))
-    model = replace(model, surroundings=replace(model.surroundings, cameras=(camera,)))
+@pytest.fixture
+def dirty(fg, model_file):
+    """The room of dirty_rooms.py, imported; its model."""
+    model = dirty_rooms.dirty_room(fg)
     bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    return model
+
+
+def test_clean_up_hides_what_the_library_proposes_and_its_strength_changes_it(dirty, fg, module):
+    """The same Gaussians as fg.clean(), at each strength and choice of kinds; nothing at 0; selected on demand."""
     obj, selection = bpy.context.object, module("scene.selection")
-    found = module("scene.cleaning").proposed(model, 1.0, {"floaters", "needles"})
-    assert found["floaters"][n:n + 6].all() and found["floaters"][:n].mean() < 0.02
-    assert np.flatnonzero(found["needles"]).tolist() == [n + 6]
-    assert np.flatnonzero(module("scene.cleaning").proposed(model, 1.0, {"haze"})["haze"]).tolist() == [n + 7]
-    assert bpy.ops.fastgs.clean_up(amount=1.0, unseen=False) == {'FINISHED'}
-    assert selection.bits(obj, "mask")[n:].all() and selection.bits(obj, "mask")[:n].mean() < 0.02
-    bpy.ops.fastgs.show_hidden()
-    bpy.ops.fastgs.clean_up(amount=0.0)
+    for strength in (1.0, 0.5):
+        assert bpy.ops.fastgs.clean_up(strength=strength) == {'FINISHED'}
+        assert np.array_equal(selection.bits(obj, "mask"), fg.clean(dirty, strength).taken) and obj.fastgs.mask
+        bpy.ops.fastgs.show_hidden()
+    bpy.ops.fastgs.clean_up(strength=0.0)
     assert not obj.fastgs.mask
-    bpy.ops.fastgs.clean_up(amount=1.0, select=True, floaters=False, unseen=False)
-    assert np.flatnonzero(selection.bits(obj, "selection")).tolist() == [n + 6, n + 7] and not obj.fastgs.mask
+    bpy.ops.fastgs.clean_up(strength=1.0, select=True, floaters=False, unseen=False)
+    assert not obj.fastgs.mask
+    assert np.array_equal(selection.bits(obj, "selection"), fg.clean(dirty, 1.0, kinds=["haze", "colours"]).taken)
+    bpy.ops.fastgs.clean_up(strength=1.0, show=True)
+    assert bpy.context.scene.fastgs.show_erased and selection.bits(obj, "mask").any()
+
+
+def test_clean_up_leaves_other_parts_alone(dirty, fg, module):
+    """An object that shows a part hides of its own Gaussians alone, for what the whole file's cameras saw."""
+    obj, selection = bpy.context.object, module("scene.selection")
+    selection.select(obj, np.arange(len(dirty)) % 2 == 0)
+    bpy.ops.fastgs.separate()
+    part = next(each for each in bpy.data.objects if each.fastgs.part and each is not obj)
+    bpy.context.view_layer.objects.active = part
+    bpy.ops.fastgs.clean_up(strength=1.0)
+    taken = fg.clean(dirty, 1.0).taken
+    assert np.array_equal(selection.bits(part, "mask"), taken & (np.arange(len(dirty)) % 2 == 0)) and not obj.fastgs.mask
 
 
 @pytest.fixture
