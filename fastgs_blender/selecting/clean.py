@@ -11,13 +11,15 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..util.arguments import one_of, real, shown
 from ..util.errors import FastGSError
-from .sightings import Sightings, sightings
+from .sightings import Sightings, change, sightings
 from .strays import Strays, strays
 
 STRENGTH = 0.5
 """Where nothing else is said."""
 LOSS = 1e-8, 1e-5
 """Mean squared change of the cameras' pictures (colours 0..1) that is allowed at the strengths 0 and 1: 80 and 50 dB."""
+TRIES, SPARE = 6, 0.7
+"""Times that it is looked how much less can be hidden, and the share of the allowed change that is then aimed at."""
 DARK = 0.1
 """Pixels of light (of pictures 200 pixels large) below which a Gaussian was never filmed, at the strength 1."""
 NEAR = 0.4
@@ -86,7 +88,7 @@ class Cleaning:
     """What clean() proposes to hide of N Gaussians.
 
     found     the Gaussians [N] bool by the kind, each under one of them
-    loss      mean squared change of the cameras' pictures (colours 0..1) without all of it, about; None where the file knows no cameras
+    loss      mean squared change of the cameras' pictures (colours 0..1) without all of it; None where the file knows no cameras
     unjudged  kinds that were asked for and cannot be judged, because the file knows no cameras
 
     Example:
@@ -138,18 +140,27 @@ def clean(model: GaussianModel, strength: float = STRENGTH, *, kinds: Collection
             left = left & ~found[name]
     loss = None
     if cameras:
-        allowed, loss = _allowed(found, evidence.sight.cost.astype(np.float64), strength)
+        allowed, loss = _allowed(model, found, evidence.sight.cost, strength)
         found = {name: bits & allowed for name, bits in found.items()}
     return Cleaning(found, loss, tuple(name for name in chosen if KINDS[name].cameras and not cameras))
 
 
-def _allowed(found: dict[str, np.ndarray], cost: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
-    """Which Gaussians [N] may be hidden of those found, the cheapest first, until the pictures would change too much; and that change."""
+def _allowed(model: GaussianModel, found: dict[str, np.ndarray], cost: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
+    """Which Gaussians [N] may be hidden of those found, the cheapest first, until the pictures would change too much; and that change.
+
+    What they change together is seen in pictures without them.  It may be more than the sum of what each changes.
+    """
     taken = np.flatnonzero(np.any([*found.values(), np.zeros(len(cost), bool)], 0))
     order = taken[np.argsort(cost[taken], kind="stable")]
-    total = np.cumsum(cost[order])
+    total = np.cumsum(cost[order], dtype=np.float64)
     low, high = LOSS
-    count = int(np.searchsorted(total, low ** (1 - strength) * high**strength, side="right"))
-    allowed = np.zeros(len(cost), bool)
-    allowed[order[:count]] = True
-    return allowed, float(total[count - 1]) if count else 0.0
+    most = aim = low ** (1 - strength) * high**strength
+    for _ in range(TRIES):
+        count = int(np.searchsorted(total, aim, side="right"))
+        allowed = np.zeros(len(cost), bool)
+        allowed[order[:count]] = True
+        loss = change(model, allowed)
+        if loss <= most:
+            return allowed, loss
+        aim = SPARE * min(aim, total[count - 1]) * most / loss
+    return np.zeros(len(cost), bool), 0.0

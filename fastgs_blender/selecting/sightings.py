@@ -30,6 +30,8 @@ SIDE = 200
 """Pixels of the longer side of the pictures."""
 PICTURES = 32
 """Of all cameras together, at least."""
+CHECKED = 8
+"""Pictures by which it is checked what is missed."""
 GOLDEN = 0.6180339887498949
 """Its multiples, modulo 1, are spread evenly over 0..1."""
 OPAQUE = 4.5
@@ -95,7 +97,34 @@ def sightings(model: GaussianModel, progress: Callable[[float], None] = lambda s
     return found
 
 
+def change(model: GaussianModel, hidden: np.ndarray) -> float:
+    """Mean squared change (colours 0..1) of CHECKED of the cameras' pictures, over grey, without some Gaussians [N] bool together.
+
+    Gaussians in a layer, or around a border, are missed more together than the sum of their costs says.
+    """
+    if not hidden.any():
+        return 0.0
+    series = looks(model)
+    series = [series[k] for k in np.linspace(0, len(series) - 1, min(CHECKED, len(series))).round().astype(int)]
+    with _lock:
+        whole = _whole.get(model)
+    if whole is None:
+        whole = [_over_grey(model, look) for look in series]
+        with _lock:
+            _whole[model] = whole
+    left = model.take(~hidden)
+    pairs = zip(series, whole, strict=True)
+    return float(np.mean([np.square(_over_grey(left, look) - before, dtype=np.float64).mean() for look, before in pairs]))
+
+
+def _over_grey(model: GaussianModel, look: Look) -> np.ndarray:
+    """A picture [h, w, 3] over grey, so that holes show before bright and dark things."""
+    picture = render(model, look.camera, look.t, backend="cpu")
+    return picture["rgb"] + 0.5 * (1 - picture["alpha"])[..., None]
+
+
 _known: WeakKeyDictionary = WeakKeyDictionary()
+_whole: WeakKeyDictionary = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
