@@ -76,7 +76,7 @@ def main():
         print(f"strength {strength}: {taken.sum()} taken {kinds}; held out {psnr(left, held):.3f} dB", end="")
         if sides and sides[0][2] is not None:
             before = 100 * np.mean([nearer(left, *side) for side in sides])
-            print(f"; beside {psnr(left, [side[:3] for side in sides]):.3f} dB, {before:.2f} % of the light from before the surface", end="")
+            print(f"; beside {psnr(left, [side[:3] for side in sides]):.3f} dB, {before:.2f} % of the light before the surface", end="")
         elif sides:
             gone = 100 * np.mean([share(model, camera, t, taken) for camera, t, _, _ in sides])
             print(f"; {gone:.1f} % of the light beside is taken", end="")
