@@ -69,8 +69,12 @@ def radius(probe) -> float:
     return float(probe.empty_display_size * np.cbrt(abs(np.linalg.det(np.array(probe.matrix_world)[:3, :3]))))
 
 
-def follow(scene, other) -> None:
-    """Give the scene of a scene's meshes the worlds that it should have: the scene's own ones, or copies with a panorama."""
+def follow(scene, other) -> bool:
+    """Give the scene of a scene's meshes the worlds that it should have: the scene's own ones, or copies with a panorama.
+
+    Returns whether one is another now.
+    """
+    moved = False
     on, before = bool(all_of(scene)), _made(other)
     slots = [(other, "world", scene.world)]
     slots += [(other.view_layers[layer.name], "world_override", layer.world_override) for layer in scene.view_layers
@@ -81,12 +85,14 @@ def follow(scene, other) -> None:
             wanted = now if _is_copy(now, world) else _copied(world, f"{scene.name} {NAME}")
         if now != wanted:
             setattr(owner, name, wanted)
+            moved = True
     _drop(before - _made(other))
     for world in _made(other):
         for image in _images(world):
             path = _path(image.name, 1)
             if image.filepath != path:
                 image.filepath = path
+    return moved
 
 
 def remove(other) -> None:

@@ -49,9 +49,8 @@ def follow(scene, engine: str) -> bpy.types.Scene:
     _follow_views(scene.render.views, other.render.views)
     moved = [_follow_contents(scene.collection.children, other.collection.children),
              _follow_contents(scene.collection.objects, other.collection.objects),
-             _follow_layers(scene, other)]
-    light_probe.follow(scene, other)
-    if any(moved):  # the compositor's scenes are part of a depsgraph, and Blender 5.2 crashes if it meets new objects in it
+             _follow_layers(scene, other), light_probe.follow(scene, other)]
+    if any(moved):  # the compositor's scenes are part of a depsgraph, and Blender 5.2 crashes if it meets new objects or worlds in it
         for layer in other.view_layers:
             layer.update()
     return other
