@@ -43,7 +43,8 @@ def _render_layer(engine, depsgraph):
     settings_now = passes.settings(scene)
     if _has(wanted, "shadow"):
         settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
-    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph))
+    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph, passes=any(entry.light for entry in wanted)))
+    surfaces = lamps.surfaces(depsgraph) if settings_now.light or any(entry.name in ("normal", "unlit") for entry in wanted) else {}
     shutter = exposure.times(scene)
     middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
     vectors = [middle - 1, middle + 1] if _has(wanted, "vector") else []
@@ -55,6 +56,7 @@ def _render_layer(engine, depsgraph):
     status("Reading")
     instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)
     _tell(engine, layer, now.shown, left_out)
+    instances = [replace(each, surface=surfaces.get(each.name)) for each in instances]
     if compiling.is_running():
         status("Compiling the renderer for this machine, once")
         worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)

@@ -15,7 +15,7 @@ from ..fastgs_blender.rendering import cryptomatte
 from ..fastgs_blender.rendering.exposure import Exposure
 from ..fastgs_blender.rendering.passes import DEFAULTS, PASSES, Pass, PassSettings
 from ..fastgs_blender.rendering.quantities import Mist
-from ..scene import colour, composite, shadows
+from ..scene import colour, composite, lamps, shadows
 from . import scene_linear
 
 COMBINED = "Combined"
@@ -34,6 +34,7 @@ def switched_on(scene, layer) -> list[Pass]:
     names |= {blender: choose(scene) for blender, choose in CHOICES.items()}
     levels = {"use_pass_cryptomatte_object": -(-layer.pass_cryptomatte_depth // cryptomatte.PAIRS),
               "fastgs.use_pass_shadow": len(shadows.lamps(scene))}
+    levels |= {p.switch: lamps.count(scene) for p in PASSES.values() if p.light and p.level}
     return [p for p in PASSES.values() if names.get(p.blender) == p.name and p.level < max(levels.get(p.switch, 1), 1) and (
         attrgetter(p.switch)(layer) or composite.needs(scene, p))]
 

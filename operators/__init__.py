@@ -6,6 +6,7 @@ import bpy
 
 from ..scene.registration import classes_of
 from . import (
+    add_relight,
     align_world,
     bake,
     camera_life,
@@ -53,9 +54,9 @@ else:
     MAKING = ()
 
 CLASSES = classes_of(
-    align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view, check_capture,
-    clean_up, clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus, grow, import_model,
-    light_probe, look, maintenance, make_mesh, native_copy, parts, reload, select_gaussians, select_kind, select_splats, sync_cameras,
-    train, training_python, training_runs, upright, view_camera, *MAKING,
+    add_relight, align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view,
+    check_capture, clean_up, clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus,
+    grow, import_model, light_probe, look, maintenance, make_mesh, native_copy, parts, reload, select_gaussians, select_kind,
+    select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

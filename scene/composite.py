@@ -87,6 +87,7 @@ def follow(scene) -> None:
             mesh_scene.follow(shown, _engine(shown.fastgs.render_meshes))
             if new:
                 _renew_passes(shown)
+    joins.feed_relights(scene)
     joins.join_all(scene)
     passes_file.follow(scene)
 

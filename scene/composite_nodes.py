@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import bpy
 
+from ..fastgs_blender.rendering.passes import LAMP_SHADOWS, LAMPS, LIGHTS, MESH_SHADOWS
 from .node_trees import Builder
 
 COLOUR, NUMBER = 'NodeSocketColor', 'NodeSocketFloat'
@@ -23,8 +24,18 @@ INPUTS = (
 """Sockets of the group that joins: name, type, value where nothing is linked; nothing is transparent."""
 SHADED = ("Image", COLOUR, None), ("Lamp", COLOUR, None), ("Splat Shadow", NUMBER, 1.0), ("Shadow Strength", NUMBER, 1.0)
 """Sockets of the group that takes a lamp's light away."""
+RELIT = (("Image", COLOUR, None), ("Unlit Colour", COLOUR, None), ("Captured Light", NUMBER, 0.3), ("Lamps", NUMBER, 1.0),
+         ("Shadows", NUMBER, 1.0), ("Unlit", NUMBER, 0.0), *(
+             (name, kind, value) for level in range(LAMPS) for name, kind, value in (
+                 (LIGHTS[level].blender, COLOUR, None), (MESH_SHADOWS[level].blender, NUMBER, 1.0),
+                 (LAMP_SHADOWS[level].blender, NUMBER, 1.0))))
+"""Sockets of the group that lights splats as *Scene Light* does: three for each lamp."""
+SHARES = "Shadow Strength", "Shadows", "Unlit"
+"""Sockets that are shares, from 0 to 1."""
 FAINT = 1e-4
 """Light of a pixel below which it does not matter what stops it."""
+TINY = 1e-6
+"""Light without which shadows take nothing."""
 WHOLE = 0.99
 """Light of a pixel from which on meshes have stopped all of it."""
 REACH, FAR = 3, 32
@@ -38,6 +49,31 @@ def shade(tree: bpy.types.NodeTree) -> None:
     b = _begin(tree, SHADED)
     taken = b.math('MULTIPLY', b.math('SUBTRACT', 1.0, b.given["Splat Shadow"]), b.given["Shadow Strength"])
     b.node('NodeGroupOutput', (_mix(b, 'SUBTRACT', 1.0, b.given["Image"], _alpha(b, 'Apply Mask', b.given["Lamp"], taken)),))
+
+
+def relight(tree: bpy.types.NodeTree) -> None:
+    """Fill an empty group of the compositor: a picture of splats in the light of lamps, as rendering/relight.py computes it.
+
+    Image captured (1 - s (1 - m)) + mixture lamps sum L (1 - s (1 - v)), m = sum L m_k / sum L; mixture: of captured and unlit colour.
+    """
+    b = _begin(tree, RELIT)
+    given, math, shadows = b.given, b.math, b.given["Shadows"]
+    total = past = _mix(b, 'MIX', 0.0, (TINY, TINY, TINY, 1.0), (TINY, TINY, TINY, 1.0))
+    lamps = _mix(b, 'MIX', 0.0, (0.0, 0.0, 0.0, 1.0), (0.0, 0.0, 0.0, 1.0))
+    for level in range(LAMPS):
+        light = given[LIGHTS[level].blender]
+        total = _mix(b, 'ADD', 1.0, total, light)
+        past = _mix(b, 'ADD', 1.0, past, _mix(b, 'MULTIPLY', 1.0, light, given[MESH_SHADOWS[level].blender]))
+        factor = math('SUBTRACT', 1.0, math('MULTIPLY', shadows, math('SUBTRACT', 1.0, given[LAMP_SHADOWS[level].blender])))
+        lamps = _mix(b, 'ADD', 1.0, lamps, _mix(b, 'MULTIPLY', 1.0, light, factor))
+    share, captured = _mix(b, 'DIVIDE', 1.0, past, total), given["Captured Light"]
+    kept = _mix(b, 'ADD', 1.0, _mix(b, 'MULTIPLY', 1.0, share, math('MULTIPLY', captured, shadows)),
+                math('MULTIPLY', captured, math('SUBTRACT', 1.0, shadows)))
+    base = _mix(b, 'MIX', given["Unlit"], given["Image"], given["Unlit Colour"])
+    added = _mix(b, 'MULTIPLY', 1.0, base, _mix(b, 'MULTIPLY', 1.0, lamps, given["Lamps"]))
+    lit = _mix(b, 'ADD', 1.0, _mix(b, 'MULTIPLY', 1.0, given["Image"], kept), added)
+    alpha = b.node('CompositorNodeSeparateColor', (given["Image"],)).outputs["Alpha"]
+    b.node('NodeGroupOutput', (_alpha(b, 'Replace Alpha', lit, alpha),))
 
 
 def join(tree: bpy.types.NodeTree) -> None:
@@ -72,7 +108,7 @@ def _begin(tree, sockets) -> Builder:
     for name, kind, value in sockets:
         socket = tree.interface.new_socket(name=name, in_out='INPUT', socket_type=kind)
         socket.default_value = (0.0, 0.0, 0.0, 0.0) if value is None else value
-        if name == "Shadow Strength":
+        if name in SHARES:
             socket.min_value, socket.max_value, socket.subtype = 0.0, 1.0, 'FACTOR'
     tree.interface.new_socket(name="Image", in_out='OUTPUT', socket_type=COLOUR)
     return Builder(tree)

@@ -82,12 +82,12 @@ def triangles(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_cam
         matrix = np.array(instance.matrix_world, np.float64)
         key = obj.data.as_pointer()
         if key not in local:
-            local[key] = _triangles(obj)
+            local[key] = own_triangles(obj)
         found.append((local[key] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
     return np.concatenate(found) if found else None
 
 
-def _triangles(obj) -> np.ndarray:
+def own_triangles(obj) -> np.ndarray:
     """An evaluated object's triangles [F, 3, 3] in its own space."""
     mesh = obj.to_mesh()
     try:

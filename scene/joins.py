@@ -1,15 +1,17 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The nodes that join splats and meshes in a compositor: one behind each Render Layers node of a scene with *Render With Meshes*.
 
-Each lamp with a splat shadow has a node of its own before it, in which the shadow's strength can be set.
+Each lamp with a splat shadow has a node of its own before it, in which the shadow's strength can be set.  A node *FAST-GS Relight*, which
+lights the splats in the compositor, stands between the Render Layers node and what uses its picture.
 """
 from __future__ import annotations
 
 import bpy
 
+from ..fastgs_blender.rendering.passes import PASSES
 from . import composite_nodes, holdout, mesh_scene, shadows
 
-MESHES, JOIN, SHADE = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade"
+MESHES, JOIN, SHADE, RELIGHT = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade", "FAST-GS Relight"
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""
 LAMP = "fastgs_lamp"
@@ -36,13 +38,63 @@ def own_tree(scene):
     tree = tree_of(scene) or _new_tree(scene)
     joins = _joins(tree)
     if joins and scene not in [shown for _, shown in layers(scene)]:
-        source = _source(joins[0], "Splats").scene
+        source = splats_of(joins[0]).scene
         if bpy.app.version >= (5, 0, 0) and tree.users > 1:
             tree = scene.compositing_node_group = tree.copy()
         for node, shown in layers(scene):
             if shown == source:
                 node.scene = scene
     return tree
+
+
+def add_relights(scene) -> list:
+    """Put a node that lights splats behind each Render Layers node of the scene, switch on the passes that it needs, and return the nodes;
+    those that are there stay."""
+    tree, found = own_tree(scene), []
+    for splats, shown in layers(scene):
+        if shown != scene:
+            continue
+        node = relight_of(splats)
+        if node is None:
+            used = [link.to_socket for link in splats.outputs["Image"].links]
+            node = _new_group(tree, RELIGHT, composite_nodes.relight, splats.location.x + 320, splats.location.y + 60)
+            for socket in used:
+                tree.links.new(node.outputs[0], socket)
+            tree.links.new(splats.outputs["Image"], node.inputs["Image"])
+        layer = scene.view_layers.get(splats.layer) or scene.view_layers[0]
+        for entry in PASSES.values():
+            if entry.blender in node.inputs and not entry.builtin:
+                setattr(layer.fastgs, entry.switch.removeprefix("fastgs."), True)
+        layer.update_render_passes()
+        found.append(node)
+    feed_relights(scene)
+    return found
+
+
+def feed_relights(scene) -> None:
+    """Bring the inputs of the nodes that light splats into step with the lamps' passes."""
+    for splats, _ in layers(scene):
+        node = relight_of(splats)
+        if node is not None:
+            wanted = [entry.blender for entry in PASSES.values() if entry.blender in node.inputs]
+            _feed(splats.id_data, node, {name: splats.outputs.get(name) for name in wanted})
+
+
+def relight_of(splats):
+    """The node that lights the splats of a Render Layers node, None where there is none."""
+    return next((node for node in splats.id_data.nodes if _is(node, RELIGHT) and _source(node, "Image") == splats), None)
+
+
+def splats_of(join):
+    """The Render Layers node of a join's splats."""
+    node = _source(join, "Splats")
+    return _source(node, "Image") if node is not None and _is(node, RELIGHT) else node
+
+
+def _image_of(splats):
+    """The socket of the splats' picture: of the node that lights them, if there is one."""
+    node = relight_of(splats)
+    return splats.outputs["Image"] if node is None else node.outputs[0]
 
 
 def join_all(scene) -> None:
@@ -58,7 +110,7 @@ def part(scene) -> None:
     for owner in [owner for owner in bpy.data.scenes if owner.is_editable and tree_of(owner)]:
         nodes = [node for node, shown in layers(owner) if shown == scene]
         for join in _joins(tree_of(owner)):
-            if _source(join, "Splats") in nodes:
+            if splats_of(join) in nodes:
                 _remove(tree_of(owner), join)
     tree = tree_of(scene)
     if tree is None or MADE not in tree or len(tree.nodes) > 2:
@@ -116,7 +168,7 @@ def _shades(join) -> list:
 
 def join_of(splats):
     """The join behind a Render Layers node, None where there is none."""
-    return next((join for join in _joins(splats.id_data) if _source(join, "Splats") == splats), None)
+    return next((join for join in _joins(splats.id_data) if splats_of(join) == splats), None)
 
 
 def meshes_of(join):
@@ -129,7 +181,7 @@ def _join(tree, splats, scene, other, layer: str):
     """Let all that uses the image of a Render Layers node use what it and the meshes make together."""
     join = join_of(splats)
     if join is None:
-        used = [link.to_socket for link in splats.outputs["Image"].links]
+        used = [link.to_socket for link in _image_of(splats).links]
         join = _new_group(tree, JOIN, composite_nodes.join, splats.location.x + 400, splats.location.y)
         for socket in used:
             tree.links.new(join.outputs[0], socket)
@@ -141,7 +193,7 @@ def _join(tree, splats, scene, other, layer: str):
     catcher = meshes.outputs.get("Shadow Catcher") if holdout.with_catchers(scene) else None
     environment = next((s for s in meshes.outputs if s.enabled and "Env" in (s.identifier[:3], s.name[:3])), None)
     _feed(tree, join, {
-        "Splats": splats.outputs["Image"], "Splat Alpha": splats.outputs["Alpha"], "Splat Depth": splats.outputs["Depth"],
+        "Splats": _image_of(splats), "Splat Alpha": splats.outputs["Alpha"], "Splat Depth": splats.outputs["Depth"],
         "Splat Holdout": splats.outputs.get("Splat Holdout"), "Meshes": _shaded(tree, join, splats, meshes, shadows.lamps(scene)),
         "Mesh Alpha": meshes.outputs["Alpha"], "Mesh Depth": meshes.outputs["Depth"], "Shadow Catcher": catcher,
         "World": environment})
@@ -192,9 +244,9 @@ def _new_group(tree, kind: str, build, x: float, y: float):
 
 
 def _remove(tree, join):
-    splats, used = _source(join, "Splats"), [link.to_socket for link in join.outputs[0].links]
+    source, used = join.inputs["Splats"].links[0].from_socket, [link.to_socket for link in join.outputs[0].links]
     for socket in used:
-        tree.links.new(splats.outputs["Image"], socket)
+        tree.links.new(source, socket)
     nodes = [join, *_shades(join), meshes_of(join)]
     groups = {node.node_tree for node in nodes[:-1]}
     for node in filter(None, nodes):

@@ -5,32 +5,62 @@ from __future__ import annotations
 import numpy as np
 
 from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
+from ..fastgs_blender.rendering.passes import LAMPS
 from ..fastgs_blender.rendering.relight import SceneLight
 from . import colour, holdout, objects, shadows, world
 
 
-def scene_light(depsgraph, size: int = 1024) -> SceneLight | None:
+def names_of(scene) -> list[str]:
+    """The names of the lamps of a scene, evaluated or not, in the order of their passes; the world comes after them."""
+    return sorted(obj.name_full for obj in scene.objects if obj.type == 'LIGHT')
+
+
+def count(scene) -> int:
+    """How many passes there are of each kind that every lamp has; the last one holds all that are left."""
+    return min(len(names_of(scene)) + (scene.world is not None), LAMPS)
+
+
+def surfaces(depsgraph) -> dict[str, np.ndarray]:
+    """The triangles [F, 3, 3] in the world of the meshes that were made of splat objects and are shown, by the names of these."""
+    found = {}
+    for obj in depsgraph.scene.objects:
+        if obj.fastgs.surface_of is not None:
+            evaluated = obj.evaluated_get(depsgraph)
+            if evaluated.is_evaluated and not evaluated.hide_render:
+                matrix = np.array(evaluated.matrix_world, np.float64)
+                triangles = holdout.own_triangles(evaluated) @ matrix[:3, :3].T + matrix[:3, 3]
+                if len(triangles) and np.isfinite(triangles).all():
+                    found.setdefault(obj.fastgs.surface_of.name, []).append(triangles)
+    return {name: np.concatenate(parts) for name, parts in found.items()}
+
+
+def scene_light(depsgraph, size: int = 1024, passes: bool = False) -> SceneLight | None:
     """What lights the splats of a scene as the depsgraph has evaluated it; None where no object takes light.
 
-    size  pixels of the longer side of the shadows' pictures
+    size    pixels of the longer side of the shadows' pictures
+    passes  whether passes want to know it, whatever the objects take
     """
     splats = [obj for obj in depsgraph.objects if objects.is_splat(obj)]
-    if not any(takes_light(obj) for obj in splats):
+    if not passes and not any(takes_light(obj) for obj in splats):
         return None
     scene, names = depsgraph.scene.fastgs.splats_scene or depsgraph.scene, [obj.name for obj in splats]
     from_working = np.linalg.inv(colour.rec709_to_working())
-    found = []
+    found, levels, numbers = [], [], names_of(scene)
     for instance in depsgraph.object_instances:
         obj = instance.object
         if obj.type == 'LIGHT' and instance.show_self and not obj.hide_render:
             lamp = lamp_of(obj, np.array(instance.matrix_world, np.float64), scene.fastgs.shadow_samples, from_working)
             if lamp is not None:
                 found.append((lamp, _lit_by(obj.original, names)))
+                levels.append(numbers.index(obj.name_full) if obj.name_full in numbers else LAMPS)
     radiance, _ = world.surface(scene, depsgraph.view_layer)
     if any(radiance):
         found.append((dome(from_working @ radiance, max(scene.fastgs.shadow_samples, 16)), None))
+        levels.append(len(numbers))
     meshes = holdout.triangles(depsgraph, _casts_shadows, "visible_shadow")
-    return SceneLight(tuple(found), meshes, scene.fastgs.shadow_bias, size)
+    settings = scene.fastgs
+    return SceneLight(tuple(found), meshes, settings.shadow_bias, size, tuple(min(level, LAMPS - 1) for level in levels),
+                      settings.contact_distance)
 
 
 def _casts_shadows(obj, maker) -> bool:

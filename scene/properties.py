@@ -249,6 +249,9 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         name="Bias", description="How near to a mesh splats cast no shadow on it: the captured ground lies where the mesh is that stands "
         "in for it",
         default=0.05, min=0.0, soft_max=1.0, unit='LENGTH', precision=3)
+    contact_distance: FloatProperty(
+        name="Contact Distance", description="How near a mesh must be to splats to count in the pass Contact Occlusion", default=0.3,
+        min=0.0, soft_max=2.0, unit='LENGTH', precision=3)
     blur_steps: IntProperty(
         name="Steps", description="Into how many steps motion blur divides the time in which the shutter is open, at the most. Where "
         "little moves, fewer are taken; a power of two is used", default=32, min=2, soft_max=256, max=4096)

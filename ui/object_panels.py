@@ -221,6 +221,8 @@ class FASTGS_PT_object_light(_Part, bpy.types.Panel):
         col.active = lamps.takes_light(context.object)
         col.prop(scene, "shadow_samples")
         col.prop(scene, "shadow_bias")
+        layout.prop(scene, "contact_distance")
+        layout.operator("fastgs.add_relight", icon='NODE_COMPOSITING')
 
 
 class FASTGS_PT_object_points(_Part, bpy.types.Panel):

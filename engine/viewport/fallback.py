@@ -2,7 +2,7 @@
 """Draws viewports through the library's renderer, where Blender's shaders cannot draw and for passes: renders and shows a texture."""
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import gpu
 import numpy as np
@@ -34,12 +34,14 @@ class DataPass:
     settings  PassSettings
     holdout   triangles [F, 3, 3] that hide splats, or None
     state     equal as long as none of it has changed
+    surfaces  triangles [F, 3, 3] of the surfaces of objects, by their names, whose normals count
     """
 
     name: str
     settings: PassSettings
     holdout: np.ndarray | None
     state: tuple
+    surfaces: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, background, data: DataPass | None = None) -> np.ndarray:
@@ -51,6 +53,8 @@ def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, backgroun
     """
     instances, _ = snapshot.load()
     backend = devices.backend(snapshot.device)[0]
+    if data is not None and data.surfaces:
+        instances = [replace(each, surface=data.surfaces.get(each.name)) for each in instances]
     if data is not None and data.name != PICTURE:
         image = fg.render(instances, camera, passes=(data.name,), backend=backend, settings=data.settings, holdout=data.holdout)[data.name]
         colour = srgb_to_linear(PASSES[data.name].look(image)) @ working.T

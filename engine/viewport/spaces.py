@@ -13,6 +13,7 @@ import gpu
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.rendering.passes import PASSES
 from ...scene import colour, holdout, lamps, objects, proxies, shadows, sky, snapshot, world
 from .. import compiling, passes
 from . import fallback, frusta, meshes, overlays, shaders
@@ -94,7 +95,8 @@ class Viewports:
     def _data_pass(self, space, depsgraph) -> DataPass | None:
         """The pass that a viewport shows in Rendered shading, or the picture where lamps light splats; None: shaders draw."""
         chosen = passes.in_viewport(space.shading, depsgraph.scene)
-        light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE), space, depsgraph)
+        of_lamps = chosen in PASSES and PASSES[chosen].light
+        light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE, of_lamps), space, depsgraph, of_lamps)
         if chosen is None and light is not None:
             chosen = fallback.PICTURE
 
@@ -105,7 +107,8 @@ class Viewports:
                     settings = replace(settings, shadows=shadows.shadows_of(depsgraph)[:1])
                 except fg.FastGSError as error:
                     _say_once(str(error))
-            return DataPass(chosen, settings, self._holdout(space, depsgraph), (self.changes,))
+            surfaces = lamps.surfaces(depsgraph) if light or chosen in ("normal", "unlit") else {}
+            return DataPass(chosen, settings, self._holdout(space, depsgraph), (self.changes,), surfaces)
 
         return None if chosen is None else self._once("pass", make, space, depsgraph, chosen)
 

@@ -115,6 +115,11 @@ def nearest(points, turns) -> None:
     shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
+def thinnest(places, spreads, weights) -> None:
+    """PictureBackend.thinnest()."""
+    shapes((places, "n 3"), (spreads, "n 6"), (weights, "n"))
+
+
 def carve(depths, slopes, poses, low) -> None:
     """SurfaceBackend.carve()."""
     shapes((depths, "v h w"), (slopes, "v h w"), (poses, "v 3 4"), (low, "3"))

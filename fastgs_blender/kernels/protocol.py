@@ -95,6 +95,15 @@ class PictureBackend(Protocol):
     def past_triangles(self, triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
         """The same of opaque triangles [F, 3, 3] float32: 0 or 1 for each point, [P] float32."""
 
+    def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
+        """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.
+
+        places   [N, 3] float64
+        spreads  [N, 6] float64: the covariances' xx, xy, xz, yy, yz, zz
+        weights  [N] float64, at a distance d multiplied by (1 - d^2 / reach^2)^2
+        reach    no Gaussian farther away counts
+        """
+
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
                       ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:
         """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order().

@@ -45,13 +45,19 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
               holdout       [h, w]  the light that the holdout's triangles stop; alpha, this and what lies behind make up a pixel
               shadow        [h, w]  the share of the light of settings.shadows[0] that arrives at its meshes, 1 where the camera sees
                                     none; shadow_2 ... of the next ones
+              lamp_light    [h, w, 3]  linear, not premultiplied: the light of the first of settings.light's lamps on the splats, as if
+                                    they were white and nothing in its way; lamp_light_2 ... of the next ones
+              mesh_shadow   [h, w]  the share of it that meshes let through; mesh_shadow_2 ...
+              lamp_shadow   [h, w]  the share of it that meshes and splats let through; lamp_shadow_2 ...
+              contact       [h, w]  the share of light from all around that settings.light's meshes nearby leave
+              unlit         [h, w, 3]  premultiplied, in the model's own colour space: an estimate of the colour without light
               depth         [h, w]  expected depth along the view axis, of the points of greatest density on the pixel's ray; inf where
                             alpha is 0
               median_depth  [h, w]  depth where transmittance falls to a half (the last splat's where it does not), else inf
               first_depth   [h, w]  depth of the nearest splat, else inf
               mist          [h, w]  0 near .. 1 far, and where nothing is
               position      [h, w, 3]  in the world, the point at that depth; 0 where alpha is 0
-              normal        [h, w, 3]  unit vectors in the world, of the Gaussians' shortest axes, turned to the camera; else 0
+              normal        [h, w, 3]  unit vectors in the world, of the surface that the Gaussians make, turned to the camera; else 0
               vector        [h, w, 4]  motion in pixels, y up: to the frame before minus here, and here minus in the frame after
               object_index  [h, w]  Instance.index of what covers most of the pixel; 0 for nothing
               cryptomatte_00 .. _07  [h, w, 4]  two objects each, by Instance.name: number and coverage (cryptomatte.py)
@@ -88,7 +94,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     kernels = load_backend(backend)
     instances = _instances(model, camera, t)
     if settings.light is not None:
-        instances = [each.viewed(camera) for each in settings.light.lit(instances, camera, kernels, progress)]
+        lit = settings.light.lit(instances, camera, kernels, progress, any(entry.light for entry in entries))
+        instances = [each.viewed(camera) for each in lit]
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
     if drawn and sharp:
@@ -114,7 +121,7 @@ def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, need
              settings: PassSettings, holdout: np.ndarray | None) -> Blended:
     """Draw the instances with a backend; returns the blended sums for the passes that were asked for."""
     objects = _objects(instances, needs)
-    quantities = settings.quantities(needs, instances)
+    quantities = settings.quantities(needs, instances, backend)
     if objects:
         quantities["shares"] = shares(instances, objects[:AT_ONCE])
     draws = max(1, -(-len(objects) // AT_ONCE))

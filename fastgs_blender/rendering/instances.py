@@ -92,6 +92,8 @@ class ObjectSettings:
                               soft_max=1.0)
     shadows: float = _look(0.0, "Shadows", "How dark the lamps' shadows are on the splats: those of meshes, and of splats in the light of "
                            "lamps", 0, 1, "LIGHT", np.maximum, subtype="FACTOR")
+    unlit: float = _look(0.0, "Unlit Colour", "How much lamps light an estimate of the unlit colour in place of the captured colour, which "
+                         "has the light of the capture in it", 0, 1, "LIGHT", np.maximum, subtype="FACTOR")
     pixel_size: float = _look(0.0, "Trained Pixel Size", "Size of a pixel of the training pictures on the surface. Views with finer pixels "
                               "are smoothed to it. For files that do not know their cameras; 0 turns it off", 0, 1e9, "SAMPLING",
                               np.maximum, soft_max=0.1, unit="LENGTH", precision=5)
@@ -152,6 +154,8 @@ class Instance:
     place      what finds the instance again at another moment (Moment)
     origin     the model whose Gaussians `model` holds, edited, painted or in part; None: `model` itself.  Filters and masks are its
     rows       which of the origin's Gaussians, [len(model)]; None: all, in their order
+    surface    triangles [F, 3, 3] of the object's surface in the world, whose normals its Gaussians take; None: they have their own
+    shading    what the scene's light does to its Gaussians, for passes (shading.Shading), or None
 
     Raises FastGSError where the placement or the time is not finite.
 
@@ -168,6 +172,8 @@ class Instance:
     place: Hashable = None
     origin: GaussianModel | None = None
     rows: np.ndarray | None = None
+    surface: np.ndarray | None = None
+    shading: Any = None
 
     def __post_init__(self) -> None:
         placement = numbers(self.placement, "a model's placement", "(4, 4)").copy()

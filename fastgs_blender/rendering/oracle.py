@@ -21,6 +21,7 @@ from .holdout import sample_depths
 from .instances import LIMIT, ViewedInstance
 from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, Exposed, Layout
 from .looks import Look, graded, size_factor
+from .normals import thinnest
 from .passing import past_splats, past_triangles
 from .quantities import Shown, shares
 
@@ -338,6 +339,7 @@ class Oracle:
             return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
 
     past_triangles = staticmethod(past_triangles)
+    thinnest = staticmethod(thinnest)
     front_to_back = staticmethod(order_in_numpy)
 
 

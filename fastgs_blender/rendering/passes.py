@@ -5,6 +5,8 @@ A new pass is one entry of PASSES.  render(), `fastgs render`, the EXR writer an
 """
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -13,8 +15,10 @@ from ..util.arguments import one_of
 from ..util.errors import FastGSError
 from . import cryptomatte, false_colour
 from .instances import Moment, ViewedInstance
-from .quantities import NORMAL, Mist, Quantity, vector
+from .normals import normal
+from .quantities import Mist, Quantity, vector
 from .relight import SceneLight
+from .shading import contact_occlusion, lamp_light, lamp_share, unlit
 from .shadow import Shadow
 
 FAR = np.float32(1e10)
@@ -65,12 +69,16 @@ class PassSettings:
         """Whether each pixel sorts its splats for itself."""
         return self.sorting == "pixel"
 
-    def quantities(self, names: Iterable[str], instances: list[ViewedInstance]) -> dict[str, Quantity]:
-        """Those quantities, of all that passes may need, whose names are given."""
+    def quantities(self, names: Iterable[str], instances: list[ViewedInstance], backend: Any) -> dict[str, Quantity]:
+        """Those quantities, of all that passes may need, whose names are given; backend: a loaded one (util/backends.py)."""
         table = {
-            "mist": self.mist.quantity, "normal": lambda: NORMAL,
+            "mist": self.mist.quantity, "normal": lambda: normal(instances, backend),
             "vector": lambda: vector(instances, self.before, self.after),
+            "unlit": lambda: unlit(instances, backend), "contact": contact_occlusion,
         }
+        for level in range(LAMPS):
+            table |= {LIGHTS[level].name: partial(lamp_light, level), MESH_SHADOWS[level].name: partial(lamp_share, level, "meshes"),
+                      LAMP_SHADOWS[level].name: partial(lamp_share, level, "both")}
         return {name: make() for name, make in table.items() if name in names}
 
 
@@ -135,6 +143,7 @@ class Pass:
     mixes     whether values of neighbouring pixels may be mixed
     title     what panels call it, if not as Blender names the pass
     meshes    whether it says something of the meshes of a scene: files of a model alone have none, unless they are asked for
+    light     whether it shows what the scene's lamps do (PassSettings.light)
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants, of shadows the number of
               lamps; files get the first three if nothing else is said
     look      (image) -> [h, w, 3]: what viewports show of a pass that is no colour, see false_colour.py
@@ -157,6 +166,7 @@ class Pass:
     mixes: bool = False
     title: str = ""
     meshes: bool = False
+    light: bool = False
     level: int = 0
     look: Callable[[np.ndarray], np.ndarray] = false_colour.grey
     shows: str = ""
@@ -233,8 +243,37 @@ def _shadow(level: int) -> Pass:
                 shows="Black where splats keep all of the light from meshes, white where they let all of it through")
 
 
+def _mean(blended: Blended, name: str, without: float) -> np.ndarray:
+    """The mean over the splats of a pixel of a quantity [h, w, channels], and a value where there are none."""
+    total, alpha = blended.sums[name], blended.alpha[..., None]
+    return np.divide(total, alpha, out=np.full_like(total, without), where=alpha > 0)
+
+
+def _share(title: str, level: int, of: str) -> Pass:
+    number = f" {level + 1}" if level else ""
+    name, switch = (title + number).lower().replace(" ", "_"), f"fastgs.use_pass_{title.lower().replace(' ', '_')}"
+    return Pass(name, lambda b: _mean(b, name, 1.0)[..., 0], (name,), empty=1.0, mixes=True, meshes=True, light=True,
+                exr=(f"{title}{number}.X",), blender=title + number, letters="X", switch=switch, title=title, level=level,
+                description=f"Deliver how much of each lamp's light {of} let through to the splats: a factor on Lamp Light",
+                shows=f"Black where {of} keep all of the light from splats, white where they let all of it through")
+
+
+def _lamp_light(level: int) -> Pass:
+    number = f" {level + 1}" if level else ""
+    name = "lamp_light" + number.replace(" ", "_")
+    return Pass(name, lambda b: _mean(b, name, 0.0), (name,), 3, mixes=True, meshes=True, light=True,
+                exr=tuple(f"Lamp Light{number}.{letter}" for letter in "RGB"), blender=f"Lamp Light{number}", letters="RGB", kind="COLOR",
+                switch="fastgs.use_pass_lamp_light", title="Lamp Light", level=level, look=partial(np.clip, a_min=0, a_max=1),
+                description="Deliver the light of each lamp, and of the world, on the splats as if these were white and nothing in its way",
+                shows="The light as it is on white paint")
+
+
 SHADOWS = tuple(_shadow(level) for level in range(LAMPS))
 """The passes of shadows, in the order of PassSettings.shadows."""
+MESH_SHADOWS = tuple(_share("Mesh Shadow", level, "meshes") for level in range(LAMPS))
+LAMP_SHADOWS = tuple(_share("Lamp Shadow", level, "meshes and splats") for level in range(LAMPS))
+LIGHTS = tuple(_lamp_light(level) for level in range(LAMPS))
+"""The passes of the lamps that light splats, by the levels of SceneLight."""
 
 PASSES = {entry.name: entry for entry in (
     Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, mixes=True, exr=("R", "G", "B"),
@@ -248,7 +287,15 @@ PASSES = {entry.name: entry for entry in (
          switch="fastgs.use_pass_holdout",
          description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill",
          shows="White where meshes stop all light, black where they stop none"),
-    *SHADOWS,
+    *SHADOWS, *LIGHTS, *MESH_SHADOWS, *LAMP_SHADOWS,
+    Pass("contact", lambda b: _mean(b, "contact", 1.0)[..., 0], ("contact",), empty=1.0, mixes=True, meshes=True, light=True,
+         exr=("Contact Occlusion.X",), blender="Contact Occlusion", letters="X", switch="fastgs.use_pass_contact",
+         description="Deliver how much of the light from all around meshes nearby leave to the splats: a factor, dark where they touch",
+         shows="White where no mesh is near, dark where one touches the splats"),
+    Pass("unlit", lambda b: b.sums["unlit"], ("unlit",), 3, colour=True, mixes=True,
+         exr=tuple(f"Unlit Colour.{letter}" for letter in "RGB"), blender="Unlit Colour", letters="RGB", kind="COLOR",
+         switch="fastgs.use_pass_unlit",
+         description="Deliver an estimate of the splats' colours without the smooth part of the light that they were captured in"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z",
          look=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",

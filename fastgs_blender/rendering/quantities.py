@@ -50,25 +50,14 @@ class Shown:
         scale = np.exp(self.instance.model.scale[self.index].astype(np.float64))[:, None]
         return self.instance.placement[:3, :3] @ (self.axes * scale)
 
-    @cached_property
-    def normal(self) -> np.ndarray:
-        """[M, 3] unit vectors in the world: the shortest axis, turned to the camera.
+    def as_normals(self, axes: np.ndarray) -> np.ndarray:
+        """Directions [M, 3] in the model's space as unit normals in the world, turned to the camera: [M, 3].
 
-        As a normal it is transformed by the inverse of the placement's transpose.
+        Normals are transformed by the inverse of the placement's transpose.
         """
-        normal, towards = self._shortest_axis, self._towards_camera
-        return np.where((normal * towards).sum(1, keepdims=True) < 0, -normal, normal)
-
-    @property
-    def facing(self) -> np.ndarray:
-        """[M] cosines of the angles between the normals and the ways to the camera."""
-        return np.abs((self._shortest_axis * self._towards_camera).sum(1))
-
-    @cached_property
-    def _shortest_axis(self) -> np.ndarray:
-        shortest = np.take_along_axis(self.axes, self.instance.model.scale[self.index].argmin(1)[:, None, None], 2)[..., 0]
-        normal = shortest @ np.linalg.pinv(self.instance.placement[:3, :3])
-        return normal / np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        normal = axes @ np.linalg.pinv(self.instance.placement[:3, :3])
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        return np.where((normal * self._towards_camera).sum(1, keepdims=True) < 0, -normal, normal)
 
     @cached_property
     def _towards_camera(self) -> np.ndarray:
@@ -191,9 +180,6 @@ def shares(instances: list[ViewedInstance], names: list) -> Quantity:
         return out
 
     return Quantity(len(names), lambda shown: np.tile(same(shown.instance), (len(shown.index), 1)), same)
-
-
-NORMAL = Quantity(3, lambda shown: shown.normal)
 
 
 def _transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:

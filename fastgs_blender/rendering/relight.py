@@ -3,9 +3,10 @@
 
 A capture's colours are what its cameras saw, light included.  So light is a factor on them, one for each Gaussian and channel:
 
-    gain = captured (1 - s (1 - m)) + lamps E / pi,     E = mean of irradiance x (1 - s (1 - v))
+    gain = captured (1 - s (1 - m)) + lamps (1 - u + u a) E / pi,     E = mean of irradiance x (1 - s (1 - v))
 
 captured, lamps, s   the object's settings: how much of the captured light stays, how much lamps add, and how dark shadows are
+u, a                 how much of the estimated unlit colour lamps light in place of the captured one, and the factor to it (unlit.py)
 m                    which share of the lamps' light meshes let through; what the capture has of its own shadows is in its colours
 v                    which share meshes and splats let through
 
@@ -21,24 +22,23 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..model.appearance import SH, SH_C0, Features, decode, features_at, momentary
-from .colour import linear_to_srgb, srgb_to_linear
+from .contact import contact
 from .exposure import PLASTIC
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
 from .lamps import Lamp
+from .normals import smooth_normals
+from .painting import painted
 from .quantities import Shown
+from .shading import shading_of
 from .shadow import Light
+from .unlit import captured_light
 from .ways import Side, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
-CELLS = 1 << 21
-"""Cells over which normals are averaged, at the most."""
-SMOOTH = 2.0
-"""Edge of the cells over which normals are averaged, in median sizes of the Gaussians."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -49,24 +49,30 @@ class SceneLight:
     meshes  triangles [F, 3, 3] in the world that cast shadows on splats, or None
     bias    how near to a surface nothing casts shadows on it, in units of the world
     size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; of one with many points each has fewer
+    levels  the number of each lamp's passes, from 0; lamps may share one.  Empty: they are numbered in their order
+    reach   distance from meshes up to which they take light from all around, for the pass of contact occlusion
     """
 
     lamps: tuple[tuple[Lamp, frozenset[str] | None], ...]
     meshes: np.ndarray | None = None
     bias: float = 0.02
     size: int = 1024
+    levels: tuple[int, ...] = ()
+    reach: float = 0.3
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lamps", tuple(self.lamps))
         object.__setattr__(self, "meshes", as_triangles(self.meshes))
+        object.__setattr__(self, "levels", tuple(self.levels) or tuple(range(len(self.lamps))))
 
     def lit(self, instances: Sequence[Instance], camera: Camera, backend: Any,
-            progress: Callable[[float], None] = lambda share: None) -> list[Instance]:
+            progress: Callable[[float], None] = lambda share: None, passes: bool = False) -> list[Instance]:
         """The instances with the colours that they have in this light before a camera; those that take none are as they were.
 
         backend  a loaded backend (util/backends.py)
+        passes   whether all of them get a Shading, too, which the passes of lamps read (shading.py)
         """
-        wanted = [number for number, each in enumerate(instances) if each.settings.takes_light and len(each.model)]
+        wanted = [number for number, each in enumerate(instances) if (passes or each.settings.takes_light) and len(each.model)]
         if not wanted:
             return list(instances)
         out = list(instances)
@@ -74,18 +80,23 @@ class SceneLight:
         casting = [each for each in instances if len(each.model) and each.settings.casts]
         arriving = self._arriving(_Spots(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
-        for number, surface, *light in zip(wanted, surfaces, *(np.split(each, ends) for each in arriving)):
-            bare, meshes, all_ = light
+        for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=2)):
             settings = instances[number].settings
-            past = np.divide(meshes, bare, out=np.ones_like(bare), where=bare > 1e-12)
-            captured = settings.captured_light * (1 - settings.shadows * (1 - past))
-            lamps = settings.lamp_light / np.pi * (bare - settings.shadows * (bare - all_))
-            out[number] = surface.painted(instances[number], captured + lamps)
+            if settings.takes_light:
+                bare, meshes, all_ = light.sum(0)
+                past = np.divide(meshes, bare, out=np.ones_like(bare), where=bare > 1e-12)
+                captured = settings.captured_light * (1 - settings.shadows * (1 - past))
+                lamps = settings.lamp_light / np.pi * (bare - settings.shadows * (bare - all_))
+                gain = captured + lamps * surface.unlit(settings.unlit, backend)
+                out[number] = painted(instances[number], surface.instance, surface.index, gain, surface.local)
+            if passes:
+                near = contact(self.meshes, surface.position, surface.normal, self.reach, self.bias, backend)
+                out[number] = replace(out[number], shading=shading_of(len(instances[number].model), surface.index, light, near))
         return out
 
-    def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> list[np.ndarray]:
-        """The irradiance [P, 3] of the spots: with nothing in the way, with meshes, with meshes and splats."""
-        total = [np.zeros((len(spots.position), 3)) for _ in range(3)]
+    def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
+        """The irradiance of the spots, by the lamps' levels [L, 3, P, 3]: with nothing in the way, with meshes, with meshes and splats."""
+        total = np.zeros((max(self.levels, default=-1) + 1, 3, len(spots.position), 3))
         ways = Ways(backend, casting, self.meshes)
         for number, (lamp, lights) in enumerate(self.lamps):
             count = len(lamp.light.points)
@@ -93,12 +104,13 @@ class SceneLight:
             rows = np.flatnonzero(shares.any(0))
             sides = [replace(side, rows=rows[side.rows]) for side in ways.sides(lamp.light, spots.position[rows])]
             for k, share in enumerate(shares):
-                total[0] += np.outer(share, lamp.colour[k])
+                bare, *blocked = total[self.levels[number]]
+                bare += np.outer(share, lamp.colour[k])
                 past = [share.copy(), share]
                 for side in sides:
                     for factor, through in zip(past, self._through(ways, lamp.light, k, side, spots), strict=True):
                         factor[side.rows] *= through
-                for sums, factor in zip(total[1:], past, strict=True):
+                for sums, factor in zip(blocked, past, strict=True):
                     sums += np.outer(factor, lamp.colour[k])
                 progress((number + (k + 1) / count) / len(self.lamps))
         return total
@@ -150,7 +162,7 @@ class _Surface:
     index     [M]     which of the model's
     local     [M, 3]  their places in the model's space
     position  [M, 3]
-    normal    [M, 3]  unit vectors, turned to the camera, smoothed
+    normal    [M, 3]  unit vectors, turned to the camera, smooth (normals.py)
     axes      [M, 3, 3]  as columns, each as long as its standard deviation
     """
 
@@ -159,60 +171,12 @@ class _Surface:
         self.index = np.sort(backend.front_to_back([instance], instance.camera)).astype(np.int64)
         shown = Shown(instance, self.index)
         self.local, self.position, self.axes = shown.position, shown.world, shown.spread
-        size = float(np.exp(np.median(instance.model.scale.max(1)))) * instance.scale  # of all, so that it does not change with the view
-        self.normal = _smoothed(shown.normal, shown.facing, self.position, SMOOTH * size)
+        self.normal = smooth_normals(shown, backend)
 
-    def painted(self, instance: Instance, gain: np.ndarray) -> Instance:
-        """The instance with its colours times gains [M, 3], scene linear, as the camera sees them."""
-        viewed, model, index = self.instance, instance.model, self.index
-        look = momentary(model.appearance)
-        mu_tau = model.mu_tau[index].astype(np.float64)
-        features = features_at(model.appearance, model.features[index], instance.t, mu_tau)
-        ray = self.local - viewed.camera_to_model[:3, 3]
-        ray /= np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-30)
-        unit = 1.0
-        if isinstance(look, Features):
-            now = features.copy()
-            now[:, 6:9] *= (instance.t - mu_tau)[:, None]
-            colour = decode(now, viewed.camera_to_model[:3, 3], ray, look)
-            plain = replace(look, activation="none")
-            change = _times(colour, gain, model.colour_space) - decode(now, viewed.camera_to_model[:3, 3], ray, plain)
-            look = plain
-        else:
-            colour = look.seen(features, ray)
-            change = _times(colour, gain, model.colour_space) - colour
-            unit = SH_C0 if isinstance(look, SH) else 1.0
-        features[:, :3] += change / unit
-        every = np.zeros((len(model), features.shape[1]), np.float32)
-        every[index] = features
-        return replace(instance, model=replace(model, features=every, appearance=look), origin=instance.source)
-
-
-def _times(colour: np.ndarray, gain: np.ndarray, space: str) -> np.ndarray:
-    """Colours [M, 3] of a colour space times scene-linear gains [M, 3]."""
-    return colour * gain if space == "linear" else linear_to_srgb(srgb_to_linear(np.maximum(colour, 0)) * gain)
-
-
-def _smoothed(normal: np.ndarray, facing: np.ndarray, position: np.ndarray, cell: float) -> np.ndarray:
-    """Unit normals [M, 3] averaged over neighbours: those in a grid of cells, mixed between the middles of the eight cells around.
-
-    facing  [M] cosines of their angles to the camera, by which they count: which way a surface looks that is seen edge-on is not known
-    """
-    if not len(position):
-        return normal
-    low, high = np.percentile(position, (1, 99), axis=0)
-    least = max(float(np.cbrt(np.prod(high - low + cell) / CELLS)), 1e-9)
-    cell *= 2 ** max(np.ceil(np.log2(least / max(cell, 1e-30))), 0)
-    low = np.floor(low / cell) * cell  # cells stay where they are while things move: what stands still does not flicker
-    count = np.ceil((high - low) / cell).astype(np.int64) + 2
-    at = np.clip((position - low) / cell + 0.5, 0, count - 1.001)  # what lies far outside joins the cells at the border
-    first = at.astype(np.int64)
-    share, place = at - first, first @ np.array([count[1] * count[2], count[2], 1])
-    counted, total, (x, y, z) = (normal * facing[:, None]).T, np.zeros((3, int(np.prod(count)))), share.T
-    corners = [((x if i else 1 - x) * (y if j else 1 - y) * (z if k else 1 - z), place + (i * count[1] + j) * count[2] + k)
-               for i, j, k in np.ndindex(2, 2, 2)]
-    for weight, where in corners:
-        for axis in range(3):
-            total[axis] += np.bincount(where, weight * counted[axis], total.shape[1])
-    mean = sum(weight * total[:, where] for weight, where in corners).T
-    return mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-30)
+    def unlit(self, share: float, backend: Any) -> np.ndarray:
+        """Factors [M, 3] from captured colour to a mixture of it and the estimated unlit one."""
+        if not share:
+            return np.ones((len(self.index), 3))
+        normal = self.normal @ self.instance.placement[:3, :3]
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        return 1 + share * (captured_light(self.instance.source, backend).unlit(normal) - 1)

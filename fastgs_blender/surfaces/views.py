@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.parallel import parallel_camera
 from ..model.filmed_from import directions
 from ..model.framing import in_ball, inside_backdrop, is_subject, looked_at
 from ..model.gaussians import GaussianModel
@@ -61,12 +62,7 @@ class Subject:
 
     def camera(self, direction: np.ndarray, pixels: int) -> Camera:
         """An orthographic camera of pixels x pixels that looks at the whole box from a direction, a unit vector [3]."""
-        right = np.cross(np.eye(3)[np.abs(direction).argmin()], -direction)
-        right /= np.linalg.norm(right)
-        pose, width = np.eye(4), float(np.linalg.norm(self.high - self.low))
-        pose[:3, :3] = right, np.cross(-direction, right), -direction
-        pose[:3, 3] = -pose[:3, :3] @ ((self.low + self.high) / 2 + width * direction)
-        return Camera(pixels, pixels, pixels / width, pixels / width, pixels / 2, pixels / 2, pose, orthographic=True)
+        return parallel_camera(direction, self.low, self.high, pixels)
 
 
 def subject_of(model: GaussianModel, t: float) -> Subject:

@@ -1,0 +1,61 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The colours of an instance's Gaussians as its camera sees them, and the instance with other ones."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from ..model.appearance import SH, SH_C0, Features, decode, features_at, momentary
+from ..model.slicing import positions_at
+from .colour import linear_to_srgb, srgb_to_linear
+from .instances import Instance, ViewedInstance
+
+
+def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
+    """(features [M, F] at the instance's time, colours [M, 3] in the model's space, without looks) of the Gaussians `index`.
+
+    places  theirs [M, 3] in the model's space, if these are known
+    """
+    model, ray = instance.model, _rays(instance, index, places)
+    look, mu_tau = momentary(model.appearance), model.mu_tau[index].astype(np.float64)
+    features = features_at(model.appearance, model.features[index], instance.t, mu_tau)
+    if isinstance(look, Features):
+        return features, decode(_now(features, instance.t - mu_tau), instance.camera_to_model[:3, 3], ray, look)
+    return features, look.seen(features, ray)
+
+
+def painted(instance: Instance, viewed: ViewedInstance, index: np.ndarray, gain: np.ndarray, places: np.ndarray) -> Instance:
+    """The instance with the colours of its Gaussians `index`, at places [M, 3] in the model's space, times gains [M, 3], scene linear, as a
+    camera sees them."""
+    model, look = viewed.model, momentary(viewed.model.appearance)
+    features, colour = seen_colours(viewed, index, places)
+    unit, before = 1.0, colour
+    if isinstance(look, Features):
+        look = replace(look, activation="none")
+        now = _now(features, instance.t - model.mu_tau[index].astype(np.float64))
+        before = decode(now, viewed.camera_to_model[:3, 3], _rays(viewed, index, places), look)
+    else:
+        unit = SH_C0 if isinstance(look, SH) else 1.0
+    features[:, :3] += (_times(colour, gain, model.colour_space) - before) / unit
+    every = np.zeros((len(model), features.shape[1]), np.float32)
+    every[index] = features
+    return replace(instance, model=replace(model, features=every, appearance=look), origin=instance.source)
+
+
+def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:
+    """Unit vectors [M, 3] in the model's space, from the camera to the Gaussians."""
+    ray = (positions_at(instance.model, instance.t, index) if places is None else places) - instance.camera_to_model[:3, 3]
+    return ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-30)
+
+
+def _now(features: np.ndarray, age: np.ndarray) -> np.ndarray:
+    """What a decoder reads of features [M, 9] of Gaussians of an age [M]."""
+    now = features.copy()
+    now[:, 6:9] *= age[:, None]
+    return now
+
+
+def _times(colour: np.ndarray, gain: np.ndarray, space: str) -> np.ndarray:
+    """Colours [M, 3] of a colour space times scene-linear gains [M, 3]."""
+    return colour * gain if space == "linear" else linear_to_srgb(srgb_to_linear(np.maximum(colour, 0)) * gain)
