@@ -375,14 +375,16 @@ def _trajectory(codes: dict, name: str, basis: Basis, constant: np.ndarray, coef
     if not terms:
         return constant.astype(np.float64)
     t, weight = span[0], span[1][..., None]
-
+    if not basis.centred and all((rows == rows[:1]).all() for rows in (t, weight)):
+        t, weight = t[:1], weight[:1]  # one decomposition serves all Gaussians that live equally long
     def design(centre: np.ndarray) -> np.ndarray:
         return basis.weights(t - centre[:, None].astype(np.float64) if basis.centred else t)
 
     true = (constant[:, None] + design(mu_true) @ coefficients.astype(np.float64)) * weight
-    functions = np.concatenate([np.ones((n, t.shape[1], 1)), design(mu)], 2) * weight
+    functions = np.concatenate([np.ones((len(t), t.shape[1], 1)), design(mu)], 2) * weight
     q, r = np.linalg.qr(functions)
     wanted = q.transpose(0, 2, 1) @ true
+    r = np.broadcast_to(r, (n, *r.shape[1:]))
     own = np.abs(np.einsum("nii->ni", r))
     for j in np.unique(life):
         usual = np.sqrt(np.mean(own[life == j, 1:] ** 2, axis=0))
