@@ -46,5 +46,8 @@ class FASTGS_OT_grow(Stepwise, bpy.types.Operator):
 
     def finish(self, context, result):
         obj = bpy.data.objects[self._name]
+        if not result.any():
+            self.warn("the stroke says too little of what belongs together, so nothing grew; draw a longer one over the thing")
+            return None
         selection.put(obj, selection=result & selection.own(obj))
         return f"{selection.bits(obj, 'selection').sum():,} Gaussians selected"

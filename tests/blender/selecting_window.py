@@ -54,9 +54,9 @@ def things(model):
     yield from choose("fastgs.select_thing", area)
     before = splat().fastgs.selection
     yield from drag(at((0, 40), (0, 40)))
-    facts["grown"] = yield from until(lambda: selected() > 3000, 180)
-    keep("clicked")
+    yield 2.0
     yield from settled("things-clicked")
+    keep("clicked")
     with within(area):
         bpy.ops.ed.undo()
     facts["one step"] = splat().fastgs.selection == before
@@ -70,7 +70,7 @@ def things(model):
     facts["refused"] = splat().fastgs.refused
     count = selected()
     yield from press('L', area)
-    facts["grown by key"] = yield from until(lambda: selected() > 2 * count, 180)
+    facts["grown by key"] = yield from until(lambda: selected() > 2 * count)
     keep("disc")
     yield from settled("things-grown")
     yield from press('X', area)
