@@ -36,10 +36,7 @@ def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=ROOT / "docs" / "meshes.webp")
     options = arguments.parse_args()
-    folder = Path(USER.name) / "extensions" / "user_default"
-    folder.mkdir(parents=True)
-    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
-    assert addon_utils.enable(ADDON, default_set=True) is not None
+    enable()
     scene = build()
     pictures = {"splats": render(scene)}
     scene.fastgs.render_meshes = 'CYCLES'
@@ -57,6 +54,14 @@ def main():
         pictures[name] = render(scene)
     grid(pictures.items(), 3).save(options.out, quality=85, method=6)
     print(options.out)
+
+
+def enable():
+    """Enable the extension of this repository."""
+    folder = Path(USER.name) / "extensions" / "user_default"
+    folder.mkdir(parents=True)
+    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
+    assert addon_utils.enable(ADDON, default_set=True) is not None
 
 
 def build():
