@@ -93,7 +93,7 @@ class PictureBackend(Protocol):
         """
 
     def past_triangles(self, triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
-        """The same of opaque triangles [F, 3, 3] float32: 0 or 1 for each point, [P] float32."""
+        """The same of opaque triangles [F, 3, 3] float32, for points [P, 3] and over [P] as past_splats() has them: 0 or 1, [P] float32."""
 
     def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
         """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.
