@@ -41,6 +41,8 @@ def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[Gauss
             parts.append(placed(model, instance.placement))
     if not parts:
         raise FastGSError("nothing is shown at this time; choose objects and a frame that show Gaussians.")
+    if any(instance.settings.takes_light for instance in instances):
+        lost |= {"Scene Light; the captured colours are written": None}
     if len({m.raster for m in parts}) > 1:
         lost |= {"that its objects were trained with different constants of the rasteriser": None}
     if len({m.colour_space for m in parts}) > 1:

@@ -78,3 +78,10 @@ def test_parts_of_a_model_with_a_decoder_are_decoded_together(backend):
     away = np.eye(4)
     away[:3, 3] = 100
     assert np.abs(picture(part(True), part(False, away)) - picture(part(True))).max() < 1e-6
+
+
+def test_an_export_says_that_scene_light_is_not_kept():
+    model = random_model(np.random.default_rng(1), 20, "fourier", "line", "window", "sigmoid")
+    for look, told in (({}, False), ({"lamp_light": 1.0}, True), ({"shadows": 0.5}, True)):
+        _, lost = as_seen([Instance(model, np.eye(4), 0.4, ObjectSettings(**look))])
+        assert any("Scene Light" in text for text in lost) == told
