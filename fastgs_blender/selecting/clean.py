@@ -18,7 +18,7 @@ STRENGTH = 0.5
 """Where nothing else is said."""
 LOSS = 1e-8, 1e-5
 """Mean squared change of the cameras' pictures (colours 0..1) that is allowed at the strengths 0 and 1: 80 and 50 dB."""
-TRIES, SPARE = 6, 0.7
+TRIES, SPARE = 12, 0.7
 """Times that it is looked how much less can be hidden, and the share of the allowed change that is then aimed at."""
 DARK = 0.1
 """Pixels of light (of pictures 200 pixels large) below which a Gaussian was never filmed, at the strength 1."""
@@ -154,13 +154,14 @@ def _allowed(model: GaussianModel, found: dict[str, np.ndarray], cost: np.ndarra
     order = taken[np.argsort(cost[taken], kind="stable")]
     total = np.cumsum(cost[order], dtype=np.float64)
     low, high = LOSS
-    most = aim = low ** (1 - strength) * high**strength
-    for _ in range(TRIES):
-        count = int(np.searchsorted(total, aim, side="right"))
+    most = low ** (1 - strength) * high**strength
+    count, loss = int(np.searchsorted(total, most, side="right")), 0.0
+    for k in range(TRIES):
         allowed = np.zeros(len(cost), bool)
         allowed[order[:count]] = True
         loss = change(model, allowed)
         if loss <= most:
             return allowed, loss
-        aim = SPARE * min(aim, total[count - 1]) * most / loss
+        less = int(np.searchsorted(total, SPARE * total[count - 1] * most / loss)) if k < 2 else count
+        count = less if 0 < less < count else int(count * np.sqrt(SPARE * most / loss))  # layers add up as squares
     return np.zeros(len(cost), bool), 0.0
