@@ -144,6 +144,35 @@ def light():
     kit.set_world(scene, (0.85, 0.92, 1.0), 0.65)
 
 
+# Things that touch
+
+
+def touching(things: dict, frames: int) -> None:
+    """Things of tests/library/touching_scenes.py, whose meshes tests bake: points [S, V, 3] over the clip, triangles, colours."""
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    scene = bpy.context.scene
+    scene.frame_start, scene.frame_end, scene.render.fps = 1, frames + 1, 24
+    rng = np.random.default_rng(5)
+    count = len(next(iter(things.values())).points)
+    at = np.linspace(0, count - 1, frames + 1)
+    key = np.minimum(at.astype(int), count - 2)
+    share = (at - key)[:, None, None]
+    for thing, parts in things.items():
+        u, v = kit.canvas(256, 256)
+        image = grainy(np.array(parts.colour), u, v, parts.varies, rng)
+        points = parts.points[0]
+        low, size = points.min(0), np.ptp(points, axis=0)
+        axes = np.argsort(-size)[:2]
+        made = kit.new_object(thing, [(points, parts.triangles, (points - low)[:, axes] / size[axes], 0)], [kit.material(thing, image)])
+        kit.cached(made, (1 - share) * parts.points[key] + share * parts.points[key + 1])
+
+
+def grainy(colour, u, v, varies, rng):
+    """An image [256, 256, 3] of a colour with waves and grain."""
+    waves = np.sin(6.3 * (u[..., None] * rng.normal(size=3) + v[..., None] * rng.normal(size=3)) + rng.uniform(0, 6, 3))
+    return np.clip(colour + 2 * varies * waves + 0.04 * kit.noise(256, 256, 24, rng)[..., None], 0.02, 0.98)
+
+
 # The fast scene
 
 

@@ -6,9 +6,10 @@
     python benchmarks/make_capture.py --scene room --out captures/room
     python benchmarks/make_capture.py --scene my.glb --action Walk --cameras 24 --frames 60 --size 640x480 --out captures/mine
 
-Writes cameras.json, camNN/0001.png ... and masks/camNN/0001.png (white: what moves); cam00 is held out and stands among the others.
---beside films the same scene from beside the rig, --depth writes depth/camNN/0001.npy as well: truths for views that no camera had.
-A file without lights gets a floor, surroundings and light.  Pictures that are there already are kept, so a stopped run goes on.
+Writes cameras.json, camNN/0001.png ..., masks/camNN/0001.png (white: what moves) and things/camNN/0001.png: the number, in things.json, of
+the object that covers most of a pixel.  cam00 is held out and stands among the others.  --beside films the same scene from beside the
+rig, --depth writes depth/camNN/0001.npy as well: truths for views that no camera had.  A file without lights gets a floor, surroundings
+and light.  Pictures that are there already are kept, so a stopped run goes on.
 """
 from __future__ import annotations
 
@@ -23,10 +24,11 @@ import numpy as np
 from tqdm import tqdm
 
 ROOT = Path(__file__).resolve().parents[1]
-sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks")]
+sys.path[:0] = [str(ROOT), str(ROOT / "benchmarks"), str(ROOT / "tests" / "library")]
 
 import capture_scenes as scenes  # noqa: E402
 import room_scene  # noqa: E402
+from touching_scenes import SCENES  # noqa: E402
 
 from fastgs_blender.cameras.poses import look_at  # noqa: E402
 from fastgs_blender.captures import generated  # noqa: E402
@@ -36,10 +38,12 @@ from fastgs_blender.util.outputs import replacing  # noqa: E402
 ROBOT = ROOT.parent / "shared" / "data" / "robot" / "RobotExpressive.blend"
 PRESETS = {"robot": dict(cameras=18, frames=40, size="480x360", samples=8, angle=42.0, distance=0.9),
            "procedural": dict(cameras=14, frames=30, size="320x240", samples=8, angle=42.0, distance=0.78),
-           "room": dict(cameras=18, frames=48, size="400x300", samples=16, angle=44.0, distance=1.0)}
+           "room": dict(cameras=18, frames=48, size="400x300", samples=16, angle=44.0, distance=1.0),
+           "touching": dict(cameras=12, frames=16, size="240x180", samples=4, angle=42.0, distance=1.25)}
 SKY = 1e9
 """Depth from which on Cycles means that nothing was hit."""
-MADE = {"procedural": scenes.procedural, "room": room_scene.furnished}
+MADE = {"procedural": scenes.procedural, "room": room_scene.furnished,
+        **{name.replace(" ", "_"): lambda frames, make=make: scenes.touching(make()[0], frames) for name, make in SCENES.items()}}
 """The scenes that are made here, of so many frames; others are read from files."""
 
 
@@ -57,8 +61,8 @@ def main():
     moving = scenes.moving_meshes(whole)
     centre, radius, floor = scenes.extent(moving, whole)
     subject = scenes.with_companions(moving)
-    if options.scene == "procedural":
-        floor = 0.0
+    if options.scene in MADE:
+        floor = 0.0 if options.scene == "procedural" else floor - 0.02
     distance = options.distance * radius / np.sin(np.radians(options.angle) / 2)
     if not any(o.type == 'LIGHT' for o in scene.objects):
         scenes.stage(centre, radius, floor, 1.7 * distance)
@@ -84,7 +88,7 @@ def beside(eyes, centre, degrees: float) -> np.ndarray:
 
 def parse():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
-    parser.add_argument("--scene", default="robot", help="robot, procedural, room, or a .blend or .glb file")
+    parser.add_argument("--scene", default="robot", help=f"robot, {', '.join(MADE)}, or a .blend or .glb file")
     parser.add_argument("--robot", type=Path, default=ROBOT, help="where RobotExpressive.blend lies")
     parser.add_argument("--action", help="which action the rigs do; for the robot Robot_Dance")
     parser.add_argument("--cameras", type=int)
@@ -100,13 +104,13 @@ def parse():
     parser.add_argument("--threads", type=int, default=0)
     parser.add_argument("--out", type=Path, required=True)
     options = parser.parse_args()
-    for name, value in PRESETS.get(options.scene, PRESETS["robot"]).items():
+    for name, value in PRESETS.get(options.scene, PRESETS["touching" if options.scene in MADE else "robot"]).items():
         if getattr(options, name) is None:
             setattr(options, name, value)
     options.file = options.robot if options.scene == "robot" else Path(options.scene)
     options.action = options.action or ("Robot_Dance" if options.scene == "robot" else None)
     if options.scene not in MADE and not options.file.is_file():
-        parser.error(f"{options.file} is not there; give a .blend or .glb file, robot, procedural or room")
+        parser.error(f"{options.file} is not there; give a .blend or .glb file, robot, {', '.join(MADE)}")
     return options
 
 
@@ -172,14 +176,17 @@ def render(options, camera, poses, times, subject):
     for name in poses:
         (options.out / name).mkdir(exist_ok=True)
         (options.out / "masks" / name).mkdir(parents=True, exist_ok=True)
+        (options.out / "things" / name).mkdir(parents=True, exist_ok=True)
+    names = sorted(o.name for o in bpy.context.scene.objects if o.type == 'MESH' and not o.hide_render)
+    (options.out / "things.json").write_text(json.dumps({name: number for number, name in enumerate(names, 1)}, indent=1), encoding="utf-8")
     bar = tqdm(work, unit="picture", smoothing=0.05)
     last = None
     with tempfile.TemporaryDirectory() as folder:
         bpy.context.scene.render.filepath = str(Path(folder, "picture.exr"))
         for frame, name in bar:
             picture = options.out / name / f"{frame + 1:04}.png"
-            mask = options.out / "masks" / name / picture.name
-            if picture.exists() and mask.exists():
+            files = [picture, *(options.out / kind / name / picture.name for kind in ("masks", "things"))]
+            if all(file.exists() for file in files):
                 continue
             if frame != last:
                 scenes.go_to(times[frame])
@@ -187,11 +194,12 @@ def render(options, camera, poses, times, subject):
             camera.matrix_world = Matrix((np.linalg.inv(poses[name]) @ np.diag([1, -1, -1, 1])).tolist())
             bpy.ops.render.render(write_still=True)
             depth = options.out / "depth" / name / f"{picture.stem}.npy" if options.depth else None
-            save(bpy.context.scene.render.filepath, subject, picture, mask, depth)
+            save(bpy.context.scene.render.filepath, subject, names, files, depth)
 
 
-def save(path, subject, picture, mask, depth):
-    """The denoised image as sRGB (view transform Standard), how much of each pixel the subject covers, and depths if wanted."""
+def save(path, subject, names, files, depth):
+    """The denoised image as sRGB (view transform Standard), how much of each pixel the subject covers, what covers most of it, and depths
+    if wanted."""
     import OpenEXR
     from PIL import Image
 
@@ -205,8 +213,9 @@ def save(path, subject, picture, mask, depth):
         depth.parent.mkdir(parents=True, exist_ok=True)
         plane = next(plane for name, plane in planes.items() if name.startswith("Depth."))
         np.save(depth, np.where(plane < SKY, plane, np.inf).astype(np.float32))
-    images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), cover]
-    for target, image in zip((picture, mask), images):
+    each = np.stack([np.full(cover.shape, 1e-3, np.float32), *(generated.cover(planes, manifest, [name]) for name in names)])
+    images = [colour.linear_to_srgb(np.clip(rgb, 0, 1)), cover, each.argmax(0) / 255]
+    for target, image in zip(files, images):
         with replacing([target]) as (part,), part.open("wb") as file:
             Image.fromarray(np.floor(image * 255 + 0.5).astype(np.uint8)).save(file, format="PNG")
 

@@ -5,6 +5,8 @@ from collections.abc import Iterable
 
 import numpy as np
 
+from ..rendering.cryptomatte import in_pictures
+
 
 def directions(count: int, rig: str = "dome") -> np.ndarray:
     """Unit vectors [count, 3] from the subject to the cameras: z up, the first among the others, in front (-y).
@@ -32,7 +34,7 @@ def cover(planes: dict[str, np.ndarray], manifest: str | bytes, names: Iterable[
     planes    CryptoObject00.r ... by name; manifest: JSON, from objects' names to hexadecimal hashes
     """
     names = set(names)
-    wanted = np.array([int(code, 16) for name, code in json.loads(manifest).items() if name in names], np.uint32)
+    wanted = np.array([in_pictures(int(code, 16)) for name, code in json.loads(manifest).items() if name in names], np.uint32)
     share = np.zeros(next(plane.shape for name, plane in planes.items() if name.startswith("CryptoObject")), np.float32)
     level = 0
     while any(name.startswith(f"CryptoObject{level:02}.") for name in planes):

@@ -35,8 +35,12 @@ def murmur3(data: bytes) -> int:
 
 def bits_of(name: str) -> int:
     """The 32 bits that stand for a name: its hash, changed in one bit where these would be an infinity, a NaN or denormalised."""
-    h = murmur3(name.encode())
-    return h ^ 1 << 23 if h >> 23 & 255 in (0, 255) else h
+    return in_pictures(murmur3(name.encode()))
+
+
+def in_pictures(code: int) -> int:
+    """The bits of a hash in pictures.  Manifests of Cycles hold the hash itself, as it was before that one bit was changed."""
+    return code ^ 1 << 23 if code >> 23 & 255 in (0, 255) else code
 
 
 def number(name: str) -> np.float32:

@@ -114,6 +114,8 @@ def test_cover_and_points(tmp_path):
     planes["CryptoObject00.g"] = zero + 0.75
     share = generated.cover(planes, json.dumps({"Ball": "3f001234", "Floor": "00000009"}), {"Ball"})
     assert share[0, 1] == 0.75 and np.count_nonzero(share) == 1
+    identity[0, 1] = 0x8099CDB4  # Cycles' manifests hold the hash, 8019cdb4, which as a float would be denormalised
+    np.testing.assert_array_equal(generated.cover(planes, json.dumps({"torso": "8019cdb4", "Floor": "3f001234"}), {"torso"}), share)
 
     camera = fg.Camera(3, 2, 4.0, 5.0, 1.4, 1.1, fg.look_at(np.array([3.0, -2, 1]), np.zeros(3)))
     xyz = generated.unproject(camera, zero + 2.5, np.array([0, 1]), np.array([2, 0]))
