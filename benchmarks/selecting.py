@@ -1,21 +1,25 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Grow to the Thing on scenes whose truth is known, a lasso among 300 000 Gaussians, and redraws with a selection.
 
-    python benchmarks/selecting.py [--count 20000] [--scene walker] [--run MODEL.safetensors] [--speed]
+    python benchmarks/selecting.py [--count 20000] [--scene walker] [--speed]
+    python benchmarks/selecting.py --capture captures/room --run runs/room/model.safetensors --things Walker
 
 A stroke over the thing and one over what is not it are drawn on one frame of one view; the masks of what is found and of the truth are
-compared in views and on frames without strokes.  --run takes a model that was trained on pictures of the scene, instead of the bake.
-Redraws need Blender's bpy and an EGL driver.
+compared in views and on frames without strokes.  --run takes a model that was trained on a capture of make_capture.py, and --things what
+the names of the thing's objects begin with.  Then the second stroke is drawn beside the thing.  Redraws need Blender's bpy and an EGL
+driver.
 """
 from __future__ import annotations
 
 import argparse
+import json
 import sys
 import tempfile
 import time
 from pathlib import Path
 
 import numpy as np
+from PIL import Image
 
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "library")]
@@ -26,7 +30,7 @@ import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.selecting.grow import grow  # noqa: E402
 from fastgs_blender.selecting.joins import joins  # noqa: E402
 from fastgs_blender.selecting.light import Light  # noqa: E402
-from fastgs_blender.selecting.shapes import Lasso, seen_under, under  # noqa: E402
+from fastgs_blender.selecting.shapes import Lasso, seen_under, touched, under  # noqa: E402
 
 
 def main():
@@ -34,11 +38,16 @@ def main():
     parser.add_argument("--count", type=int, default=20_000)
     parser.add_argument("--scene", choices=scenes.SCENES)
     parser.add_argument("--run", type=Path)
+    parser.add_argument("--capture", type=Path)
+    parser.add_argument("--things", nargs="+", default=[])
     parser.add_argument("--speed", action="store_true", help="only the lasso and the redraws")
     options = parser.parse_args()
+    if options.capture:
+        filmed(options.capture, fg.load(options.run), tuple(options.things))
+        return
     for name in () if options.speed else [options.scene] if options.scene else scenes.SCENES:
         scene = scenes.made(name, options.count)
-        model = fg.load(options.run) if options.run else scene.model
+        model = scene.model
         for against in (True, False):
             seconds, found = timed(model, scene, against)
             overlaps = scenes.overlaps(model, found, scene)
@@ -46,6 +55,39 @@ def main():
                   f"   {len(model)} Gaussians, joins {seconds[0]:.2f} s, growing {seconds[1]:.2f} s of processor", flush=True)
     lasso()
     redraws()
+
+
+def filmed(capture: Path, model, beginnings: tuple[str, ...], view: int = 1):
+    """Prints intersection over union of what strokes in one view of a capture find, in other views and on other frames."""
+    told, names = (json.loads((capture / file).read_text(encoding="utf-8")) for file in ("cameras.json", "things.json"))
+    keys = "width", "height", "fx", "fy", "cx", "cy"
+    cameras = [fg.Camera(*(told_of[key] for key in keys), np.array(told_of["world_to_camera"])) for told_of in told["cameras"]]
+    wanted, frames = [number for name, number in names.items() if name.startswith(beginnings)], told["frame_count"]
+
+    def truth(k, frame):
+        return np.isin(np.asarray(Image.open(capture / "things" / told["cameras"][k]["name"] / f"{frame + 1:04}.png")), wanted)
+
+    frame = frames // 3
+    mask, seen = truth(view, frame), fg.Instance(model, np.eye(4), frame / frames).viewed(cameras[view])
+    yes, no = (touched([seen], cameras[view], scenes.stroke_in(where, k))[0] for k, where in enumerate((mask, beside(mask))))
+    for against in (True, False):
+        found, overlaps = grow(model, yes, no if against else None), []
+        for k in (0, 3, 5, 8, 10):
+            for at in sorted({1, frames // 2, frames * 3 // 4, frames - 2} - {frame}):
+                right = truth(k, at)
+                if right.sum() >= 60:
+                    mine = scenes.parts_in_view(model, found, cameras[k], at / frames)[0]
+                    overlaps.append((mine & right).sum() / (mine | right).sum())
+        print(f"{capture.name:14} {'two strokes' if against else 'one stroke '}  IoU {np.mean(overlaps):.3f}, least {np.min(overlaps):.3f}")
+
+
+def beside(mask: np.ndarray, far: int = 24, near: int = 3) -> np.ndarray:
+    """What lies within so many pixels of a mask [h, w], and not at its edge."""
+    rings = [mask]
+    for _ in range(far):
+        wide = np.pad(rings[-1], 1)
+        rings.append(wide[1:-1, 1:-1] | wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:])
+    return rings[far] & ~rings[near]
 
 
 def timed(model, scene, against):
