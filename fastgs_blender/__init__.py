@@ -56,6 +56,10 @@ if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .rendering.instances import Instance, ObjectSettings
     from .rendering.passes import PassSettings
     from .selecting.clean import Cleaning, clean
+    from .stitching.fitting import Alignment, align
+    from .stitching.grading import Grade, match_grade
+    from .stitching.loops import Loop, find_loop
+    from .stitching.similarity import Similarity, similarity
     from .surfaces.bake import BakeReport, bake
     from .surfaces.making import MovingMesh, make_mesh
     from .training.run.launch import train
@@ -70,7 +74,9 @@ PLACES = {
     "model.slicing": "Slice freeze slice_model", "model.surroundings": "Backdrop Surroundings Viewpoint",
     "model.temporal": "Always Radial Window WindowedRadial", "rendering.api": "render", "rendering.crops": "Crop",
     "rendering.exposure": "Aperture Exposure", "rendering.images": "save_image", "rendering.instances": "Instance ObjectSettings",
-    "rendering.passes": "PassSettings", "selecting.clean": "Cleaning clean", "surfaces.bake": "BakeReport bake",
+    "rendering.passes": "PassSettings", "selecting.clean": "Cleaning clean", "stitching.fitting": "Alignment align",
+    "stitching.grading": "Grade match_grade", "stitching.loops": "Loop find_loop", "stitching.similarity": "Similarity similarity",
+    "surfaces.bake": "BakeReport bake",
     "surfaces.making": "MovingMesh make_mesh", "training.run.launch": "train",
 }
 """The modules that define the public names; each is imported when one of its names is used first."""
@@ -78,12 +84,13 @@ _place_of = {name: place for place, names in PLACES.items() for name in names.sp
 
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Cleaning", "Clip",
-    "Clocks", "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Instance", "Keyframes",
-    "LossWarning", "MovingMesh", "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster", "Sequence", "Slice",
-    "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "bake", "check", "clean", "concatenate", "dolly",
-    "evaluate", "find_offsets", "freeze", "load", "load_cameras", "look_at", "make_mesh", "open_capture", "open_source", "orbit",
-    "psnr", "render", "save", "save_cameras", "save_image", "slice_model", "through", "train", "write_clocks",
+    "RGB", "SH", "Alignment", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Cleaning",
+    "Clip", "Clocks", "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Grade", "Instance",
+    "Keyframes", "Loop", "LossWarning", "MovingMesh", "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster",
+    "Sequence", "Similarity", "Slice", "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "align", "bake", "check",
+    "clean", "concatenate", "dolly", "evaluate", "find_loop", "find_offsets", "freeze", "load", "load_cameras", "look_at", "make_mesh",
+    "match_grade", "open_capture", "open_source", "orbit", "psnr", "render", "save", "save_cameras", "save_image", "similarity",
+    "slice_model", "through", "train", "write_clocks",
 ]
 
 

@@ -7,6 +7,7 @@ import bpy
 from ..scene.registration import classes_of
 from . import (
     add_relight,
+    align_pairs,
     align_world,
     bake,
     camera_life,
@@ -32,6 +33,7 @@ from . import (
     light_probe,
     look,
     maintenance,
+    make_loop,
     make_mesh,
     native_copy,
     parts,
@@ -39,6 +41,7 @@ from . import (
     select_gaussians,
     select_kind,
     select_splats,
+    stitch,
     sync_cameras,
     train,
     training_python,
@@ -54,9 +57,9 @@ else:
     MAKING = ()
 
 CLASSES = classes_of(
-    add_relight, align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene, capture_view,
-    check_capture, clean_up, clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene, gpus,
-    grow, import_model, light_probe, look, maintenance, make_mesh, native_copy, parts, reload, select_gaussians, select_kind,
-    select_splats, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
+    add_relight, align_pairs, align_world, bake, camera_life, camera_moves, camera_path_files, capture_cameras, capture_scene,
+    capture_view, check_capture, clean_up, clip, crop, effects, example, export_native, export_page, export_splats, filters, fit_scene,
+    gpus, grow, import_model, light_probe, look, maintenance, make_loop, make_mesh, native_copy, parts, reload, select_gaussians,
+    select_kind, select_splats, stitch, sync_cameras, train, training_python, training_runs, upright, view_camera, *MAKING,
 )
 register, unregister = bpy.utils.register_classes_factory(CLASSES)

@@ -17,6 +17,7 @@ GROUPS = {
     "Captures and training": ("open_capture", "Capture", "check", "CheckReport", "find_offsets", "Clocks", "write_clocks",
                               "train", "evaluate"),
     "Baking, and meshes of models": ("bake", "BakeReport", "make_mesh", "MovingMesh"),
+    "Two captures, and loops": ("align", "Alignment", "similarity", "Similarity", "match_grade", "Grade", "find_loop", "Loop"),
     "Models": ("GaussianModel", "Clip", "Raster", "Surroundings", "Backdrop", "Viewpoint", "Sequence", "slice_model", "Slice", "freeze",
                "concatenate", "Edit", "Parts", "clean", "Cleaning"),
     "How Gaussians move": ("Static", "Fourier", "Cosine", "Polynomial", "Keyframes"),

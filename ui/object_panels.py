@@ -189,9 +189,10 @@ class FASTGS_PT_object_echoes(_OfTime, bpy.types.Panel):
 
 
 class FASTGS_PT_object_cut(_OfTime, bpy.types.Panel):
-    bl_label = "Split and Markers"
+    bl_label = "Loop, Split and Markers"
 
     def draw(self, context):
+        self.layout.operator("fastgs.make_loop", icon='FILE_REFRESH')
         row = self.layout.row(align=True)
         row.operator("fastgs.split", icon='PIVOT_CURSOR')
         row.operator("fastgs.mark_clip", icon='MARKER_HLT')

@@ -117,6 +117,19 @@ def _draw_list(layout, items, first, rest, remove: str):
         rest(col.column(align=True), item)
 
 
+class FASTGS_PT_parts_stitch(_Below, bpy.types.Panel):
+    bl_label = "Stitch"
+
+    def draw(self, context):
+        layout = self.layout
+        row = layout.row(align=True)
+        row.operator("fastgs.align_pairs", text="Align by Pairs", icon='SNAP_VERTEX')
+        row.operator("fastgs.align_overlap", text="by Overlap")
+        row = layout.row(align=True)
+        row.operator("fastgs.match_grade", icon='COLOR')
+        row.operator("fastgs.cross_fade", icon='IPO_LINEAR')
+
+
 def _draw_tools(layout, tools, names):
     """Draw the buttons that choose tools of the toolbar."""
     row = layout.row(align=True)

@@ -23,11 +23,12 @@ def targets(context) -> list[bpy.types.Object]:
     """
     every = [obj for obj in context.scene.objects if is_world(obj)]
     chosen = dict.fromkeys(obj for obj in (context.object, *context.selected_objects) if obj is not None and is_world(obj))
-    found = [obj for obj in every if any(_lie_alike(obj, other) for other in chosen)] if chosen else every
+    found = [obj for obj in every if any(lie_alike(obj, other) for other in chosen)] if chosen else every
     return [obj for obj in found if not any(parent in found for parent in _parents(obj))]
 
 
-def _lie_alike(a, b) -> bool:
+def lie_alike(a, b) -> bool:
+    """Whether two worlds have the same place, turn and size."""
     return a == b or np.allclose(model_space.placement(a), model_space.placement(b), rtol=1e-5, atol=1e-5)
 
 

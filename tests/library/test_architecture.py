@@ -11,7 +11,7 @@ from pathlib import PurePosixPath
 import pytest
 from imports import PACKAGES, ROOT, called, circles, extension_files, imports, operators, parsed, targets
 
-ROOMS = ("util", "model", "cameras", "rendering", "kernels", "selecting", "formats", "surfaces", "captures", "evaluation",
+ROOMS = ("util", "model", "cameras", "rendering", "kernels", "selecting", "stitching", "formats", "surfaces", "captures", "evaluation",
          "training/core", "training/initial", "training/run", "jobs", "checks", "commands", "")
 """The library's folders in their order: a room imports itself and those before it.  "": the modules at the library's top."""
 DOORS = {

@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""find the part of a clip that can be played over and over
+
+It compares small pictures of all frames, and how they change, and proposes where to cut.  The end fades into the beginning for a few
+frames.  The numbers say how much the picture changes at the seam, by how much it changes from frame to frame.
+
+    fastgs loop model.safetensors --least 20 --fade 6
+
+In Blender, Make Loop does it with the object.
+"""
+from __future__ import annotations
+
+import argparse
+
+from ..util.progress import progress
+from .shared import model_file, print_json, say_table, use_threads
+
+STEPS = 100
+"""Parts of the whole that progress counts."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    parser.add_argument("model", metavar="MODEL", help="a model file, or the folder that fastgs train wrote")
+    parser.add_argument("--least", type=float, metavar="FRAMES", help="frames that the loop lasts at least (default: half of the clip)")
+    parser.add_argument("--fade", type=float, default=8.0, metavar="FRAMES", help="frames over which the end fades into the beginning "
+                        "(default: 8)")
+    parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
+
+
+def run(args: argparse.Namespace) -> None:
+    from .. import formats
+    from ..stitching.loops import find_loop
+    from ..util.screen import screen
+
+    use_threads(args.threads)
+    source = formats.open_source(model_file(args.model))
+    with progress(STEPS, "step", "comparing", quiet=args.quiet) as bar:
+        loop = find_loop(source, least=args.least, fade=args.fade, progress=lambda share: bar.to(int(STEPS * share)))
+    if args.json:
+        print_json({"model": args.model, **vars(loop)})
+        return
+    say_table(screen([
+        ("loop", f"frames {loop.start:g} to {loop.start + loop.length:g}, {loop.length:g} frames"), ("fade", f"{loop.fade:g} frames"),
+        ("seam", f"{loop.cut:.2f} times the usual change, {loop.blended:.2f} with the fade; {loop.whole:.2f} for the whole clip"),
+        ("motion", f"alike by {loop.motion:.2f} on both sides"),
+        ("in Blender", f"Trim Start {loop.start:g}, End {source.clip.frame_count - loop.end:g}, Loop Fade {loop.fade:g}"),
+    ], True))

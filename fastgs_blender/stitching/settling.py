@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""The coarse part of a fit: each place is drawn to all places of the other surface that are near and look alike, by how likely they are it.
+
+As in EM-ICP (Granger and Pennec 2002), a place's partners are a cloud that shrinks; what has no partner on either side counts little.
+"""
+from __future__ import annotations
+
+import numpy as np
+
+from .skins import Cells, moved
+
+COARSE = 12.0
+"""Cells along a surface's spread."""
+MOST = 700
+"""Places of each surface."""
+LAST, STEPS = 0.04, 36
+"""Size of the cloud, in spreads, in the last step; and how many there are."""
+COLOUR = 0.6
+"""Difference of colours, in their standard deviations, that makes two places unlike."""
+ALONE = 0.25
+"""Likelihood that a place has no partner, by that of a surface without an edge."""
+
+
+def spread(points: np.ndarray) -> float:
+    """The root mean squared distance of points from their middle."""
+    place = points[:, :3]
+    return float(np.sqrt(((place - place.mean(0)) ** 2).sum(1).mean()))
+
+
+def settled(start: np.ndarray, moving: np.ndarray, fixed: np.ndarray, scale: bool, first: float) -> np.ndarray:
+    """The motion [4, 4] that a motion comes to, of points [P, 6] towards points [Q, 6], see skin(); first: the cloud's size in the first
+    step, in spreads."""
+    size = min(spread(fixed), spread(moved(moving, start)))
+    edge = 2 * size / COARSE
+    motion = start
+    a, b = _some(Cells.of(moved(moving, start), edge)), _some(Cells.of(fixed, edge))
+    unlike = ((a[:, None, 3:] - b[None, :, 3:]) ** 2).sum(2) / (2 * COLOUR**2)
+    added = np.eye(4)
+    for cloud in size * np.geomspace(first, LAST, STEPS):
+        x = moved(a, added)[:, :3]
+        near = np.exp(-((x * x).sum(1)[:, None] + (b[:, :3] ** 2).sum(1) - 2 * x @ b[:, :3].T) / (2 * cloud**2) - unlike)
+        alone = ALONE * 2 * np.pi * (cloud / edge) ** 2 * 0.3 + 1e-9
+        weight = near / np.sqrt((near.sum(1, keepdims=True) + alone) * (near.sum(0) + alone))
+        rows, columns = weight.sum(1), weight.sum(0)
+        total = rows.sum()
+        if total < 3:
+            break
+        middle_x, middle_y = rows @ x / total, columns @ b[:, :3] / total
+        u, s, vt = np.linalg.svd((b[:, :3] - middle_y).T @ weight.T @ (x - middle_x))
+        mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
+        step = np.eye(4)
+        factor = (s * mirror).sum() / max((rows * ((x - middle_x) ** 2).sum(1)).sum(), 1e-30) if scale else 1.0
+        step[:3, :3] = factor * (u * mirror) @ vt
+        step[:3, 3] = middle_y - step[:3, :3] @ middle_x
+        added = step @ added
+    return added @ motion
+
+
+def _some(cells: Cells) -> np.ndarray:
+    """Places and colours [M, 6] of some cells."""
+    every = np.concatenate([cells.place, cells.colour], 1)
+    return every if len(every) <= MOST else every[np.random.default_rng(0).choice(len(every), MOST, replace=False)]
