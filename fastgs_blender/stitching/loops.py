@@ -132,8 +132,8 @@ def _best(seen: np.ndarray, at: np.ndarray, least: float, fade: float) -> tuple[
     fits = (length >= least - 1e-9) & (at[None] + fade <= at[-1] + 1e-6)
     cost = np.where(fits, cost, np.inf)
     usual = float(np.square(np.diff(seen, axis=0)).mean()) if len(seen) > 1 else 0.0
-    # what is less than half a step from one moment to the next is no difference of the seams
-    good = cost <= AS_GOOD**2 * cost.min() + 0.35 * usual
+    # what is far less than a step from one moment to the next is no difference of the seams
+    good = cost <= AS_GOOD**2 * cost.min() + 0.05 * usual
     i, j = np.nonzero(good)
     shortest = length[i, j] <= length[i, j].min() + 1e-9
     i, j = i[shortest], j[shortest]
