@@ -9,7 +9,7 @@ from . import (
     clean,
     completion,
     convert,
-    eval,
+    eval,  # noqa: A004 (named as the module is)
     info,
     loop,
     render,
