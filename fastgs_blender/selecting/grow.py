@@ -4,7 +4,8 @@
 It is a cut through the joins of neighbours (joins.py), each with a weight that is small where its two Gaussians drift apart or differ in
 colour.  A minimal cut (Boykov and Jolly 2001) obeys every Gaussian of a stroke, those of the floor beside a foot too, and cuts off what
 is long and thin.  So the squares of the differences are made least instead of their sizes: the random walker (Grady 2006), a potential
-that strokes pull to 1 and -1 and everything else weakly to 0.  A few wrong Gaussians of a stroke are outvoted by those around them.
+that strokes pull to 1 and -1 and everything else weakly to 0.  Gaussians of a stroke whose neighbours say otherwise are then pulled less,
+and the potential is found again: in a trained model a stroke always touches some of the haze and of what lies behind.
 """
 from __future__ import annotations
 
@@ -14,15 +15,20 @@ from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from .joins import joins
 
-PULL, REST = 0.1, 0.06
-"""How strongly a stroke's Gaussian is pulled, by a join's weight, and all Gaussians to 0, divided by the root of their number: a stroke
-crosses about so many of a thing's."""
+PULL, REST = 0.3, 1e-3
+"""How strongly a Gaussian of a stroke is pulled, and each Gaussian to 0, by the sum of the weights that meet in it."""
+MANY = 20_000
+"""With more Gaussians joins are shorter. To reach as far, pulls are weaker there, by the power 1.5 of their number (measured)."""
+FEW = 40
+"""A stroke over fewer Gaussians, as a click, has less to hold up: each Gaussian is pulled to 0 by so much less."""
+LEAST = 0.02
+"""What is left at least of the pull of a stroke's Gaussian whose neighbours say otherwise."""
 NEAREST = 0.3
 """Joins get no stronger below this distance, in units of the usual one."""
 LOOSE = 1e-6
 """Least weight of a join."""
-BORDER, ALONE = 0.3, 0.5
-"""Potential from which on a Gaussian belongs to the thing; and where no stroke says what does not."""
+BORDER, ALONE = 0.2, 0.5
+"""A Gaussian belongs to the thing from this share of the strokes' mean potential on; and where no stroke says what does not."""
 
 
 def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) -> np.ndarray:
@@ -37,12 +43,18 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
-    pulled = yes.astype(np.float32) - (0 if no is None else no)
+    side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
-    weight = np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE
-    ground = PULL * np.abs(pulled) + REST / np.sqrt(len(model))
-    y = potential(found.ends, weight.astype(np.float32), ground, PULL * pulled, model.position)
-    return y > (BORDER if no is not None and no.any() else ALONE)
+    i, j = found.ends.T
+    weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
+    degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
+    pulled = degree * min(MANY / len(model), 1) ** 1.5
+    pull, rest = PULL * pulled * np.abs(side), REST * pulled * min(int(yes.sum()) / FEW, 1)
+    y = potential(found.ends, weight, pull + rest, pull * side, model.position)
+    around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
+    pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
+    y = potential(found.ends, weight, pull + rest, pull * side, model.position)
+    return y > (BORDER if no is not None and no.any() else ALONE) * float(y[yes].mean())
 
 
 def connected(model: GaussianModel, some: np.ndarray, reach: float = 3.0) -> np.ndarray:

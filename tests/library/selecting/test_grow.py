@@ -17,10 +17,10 @@ from fastgs_blender.selecting.joins import joins
 from fastgs_blender.selecting.neighbours import nearest
 
 
-def made(name):
+def made(name, count=3000):
     with warnings.catch_warnings():
         warnings.simplefilter("ignore")  # the bake's, on how closely fast limbs are followed
-        return scenes.made(name, 3000)
+        return scenes.made(name, count)
 
 
 @pytest.mark.parametrize("name", ["ball and box", "cloths", "same colours", "lifted"])
@@ -31,6 +31,17 @@ def test_two_strokes_select_a_thing(name):
     assert yes.sum() < 0.4 * scene.truth.sum()
     for against in (no, None):
         assert min(scenes.overlaps(scene.model, grow(scene.model, yes, against), scene, views=(3, 6), times=(0.1, 0.8))) >= 0.9
+
+
+@pytest.mark.parametrize("name", ["ball and box", "cloths", "lifted"])
+def test_a_click_is_enough(name):
+    """Three Gaussians, and they with a stroke over the rest; however many Gaussians the thing has."""
+    for count in 3000, 9000:
+        scene = made(name, count)
+        yes, no = scenes.strokes(scene.model, scene)
+        few = np.isin(np.arange(len(yes)), np.flatnonzero(yes & scene.truth)[:3])
+        for against in (no, None):
+            assert np.mean(grow(scene.model, few, against) == scene.truth) > 0.99
 
 
 def test_what_stands_still_is_told_by_colour():
