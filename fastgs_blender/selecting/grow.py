@@ -15,8 +15,13 @@ from ..model.gaussians import GaussianModel
 from ..util.errors import FastGSError
 from .joins import joins
 
-PULL, REST = 0.3, 1e-3
-"""How strongly a Gaussian of a stroke is pulled, and each Gaussian to 0, by the sum of the weights that meet in it."""
+PULL = 0.3
+"""How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it."""
+REST, BORDER = 2.5e-4, 0.2
+"""How strongly each Gaussian is pulled to 0, by the same sum; and the share of the strokes' mean potential from which on a Gaussian belongs
+to the thing."""
+REST_ALONE, BORDER_ALONE = 1e-3, 0.5
+"""The same where no stroke says what does not belong to the thing."""
 MANY = 20_000
 """With more Gaussians joins are shorter. To reach as far, pulls are weaker there, by the power 1.5 of their number (measured)."""
 FEW = 40
@@ -27,8 +32,6 @@ NEAREST = 0.3
 """Joins get no stronger below this distance, in units of the usual one."""
 LOOSE = 1e-6
 """Least weight of a join."""
-BORDER, ALONE = 0.2, 0.5
-"""A Gaussian belongs to the thing from this share of the strokes' mean potential on; and where no stroke says what does not."""
 
 
 def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) -> np.ndarray:
@@ -43,18 +46,19 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
+    rest, border = (REST, BORDER) if no is not None and no.any() else (REST_ALONE, BORDER_ALONE)
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
     i, j = found.ends.T
     weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
     degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
     pulled = degree * min(MANY / len(model), 1) ** 1.5
-    pull, rest = PULL * pulled * np.abs(side), REST * pulled * min(int(yes.sum()) / FEW, 1)
+    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
-    return y > (BORDER if no is not None and no.any() else ALONE) * float(y[yes].mean())
+    return y > border * float(y[yes].mean())
 
 
 def connected(model: GaussianModel, some: np.ndarray, reach: float = 3.0) -> np.ndarray:
