@@ -61,9 +61,9 @@ def things(model):
         bpy.ops.ed.undo()
     facts["one step"] = splat().fastgs.selection == before
     yield from press('E', area)
-    facts["shown erased"] = scene.fastgs.show_erased
+    facts["shown erased"] = bpy.context.scene.fastgs.show_erased
     yield from choose("fastgs.select_brush", area)
-    scene.fastgs.brush_radius = 12
+    bpy.context.scene.fastgs.brush_radius = 12
     yield from drag(at((-70, -120), (0, -125), (70, -120)))
     yield from drag(at((-40, 20), (0, 60), (40, 30)), ctrl=True)
     keep("strokes")
@@ -77,7 +77,7 @@ def things(model):
     facts["disc erased"] = splat().fastgs.mask
     yield from settled("things-shown-erased")
     with within(area):
-        bpy.ops.fastgs.clean_up(amount=1.0)
+        bpy.ops.fastgs.clean_up(strength=1.0)
     facts["cleaned"] = splat().fastgs.mask
     bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'
     target = os.path.abspath("things-left.safetensors")

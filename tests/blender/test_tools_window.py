@@ -78,5 +78,6 @@ def test_all_panels_open_fit_into_the_widths_that_their_texts_are_measured_for(u
     facts = user.story("tools_window.panels", window=True, screen="1920x2900")
     for kind, width in facts["widths"].items():
         assert REGIONS[kind] <= width <= REGIONS[kind] + 8, (kind, width)
-    elsewhere = {"FASTGS_PT_instances", "FASTGS_PT_viewport_pass", "FASTGS_PT_ray_visibility", "FASTGS_PT_mesh_passes"}  # or closed
+    elsewhere = {"FASTGS_PT_instances", "FASTGS_PT_viewport_pass", "FASTGS_PT_ray_visibility", "FASTGS_PT_mesh_passes",
+                 "FASTGS_PT_light_probe"}  # or closed
     assert set(facts["panels"]) - set(facts["drawn"]) == elsewhere
