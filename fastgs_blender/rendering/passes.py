@@ -134,7 +134,8 @@ class Pass:
     exr       the names of its channels in an EXR file; "Layer.X" is the layer `Layer` in Blender's compositor
     blender   the pass of Blender that it fills.  Combined is filled by rgb and alpha together; of two that fill one pass,
               the scene's settings choose
-    letters, kind   channels and type of that pass as Blender's API wants them
+    letters, kind   channels and type of that pass as Blender's API wants them; not the one channel A, beyond which Blender 5.3's File
+                    Output node writes
     switch    the property of Blender's view layer that switches it on: one of Blender's own, or with the prefix "fastgs." one of
               the extension's, which is made from this table
     description   what that switch of the extension's says to users
@@ -279,11 +280,11 @@ PASSES = {entry.name: entry for entry in (
     Pass("rgb", lambda b: b.rgb, ("rgb",), 3, colour=True, exposed=True, mixes=True, exr=("R", "G", "B"),
          blender="Combined", letters="RGBA", kind="COLOR", switch="use_pass_combined"),
     # not "Alpha": that is what the compositor calls Combined's fourth channel, and a pass of this name takes its socket away
-    Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="A",
+    Pass("alpha", lambda b: b.alpha, exposed=True, mixes=True, exr=("A",), blender="Splat Alpha", letters="X",
          switch="fastgs.use_pass_alpha",
          description="Deliver the opacity of the splats, which the world does not fill up",
          shows="White is opaque, black is empty"),
-    Pass("holdout", _held, exposed=True, mixes=True, meshes=True, exr=("Splat Holdout.A",), blender="Splat Holdout", letters="A",
+    Pass("holdout", _held, exposed=True, mixes=True, meshes=True, exr=("Splat Holdout.X",), blender="Splat Holdout", letters="X",
          switch="fastgs.use_pass_holdout",
          description="Deliver the light that meshes stop which hide splats: how much of a pixel their own picture is to fill",
          shows="White where meshes stop all light, black where they stop none"),

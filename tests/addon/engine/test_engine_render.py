@@ -152,7 +152,7 @@ def test_a_pass_is_one_entry_of_the_librarys_table(
     table, group = module("fastgs_blender.rendering.passes"), module("scene.properties").FASTGS_PG_view_layer
     assert "use_pass_alpha" in group.__annotations__, "made from the table"
     monkeypatch.setitem(table.PASSES, "half", table.Pass(
-        "half", lambda blended: blended.alpha / 2, blender="Half", letters="A", switch="fastgs.use_pass_half"))
+        "half", lambda blended: blended.alpha / 2, blender="Half", letters="X", switch="fastgs.use_pass_half"))
     model, layer = make_model(), scene.view_layers[0]
     splat_object(model_file(model))
     add_camera()
