@@ -54,7 +54,8 @@ def things(model):
     yield from choose("fastgs.select_thing", area)
     before = splat().fastgs.selection
     yield from drag(at((0, 40), (0, 40)))
-    yield 2.0
+    facts["click grown"] = yield from until(lambda: selected() > 20)  # it touches six
+    yield 0.5
     yield from settled("things-clicked")
     keep("clicked")
     with within(area):

@@ -22,7 +22,7 @@ def test_things_are_selected_and_deleted(user):
         assert 20 < seen.sum() <= (1 if tool == "ball" else 0.95) * through.sum() and not (seen & ~through).any(), tool
     np.testing.assert_array_equal(unpack_mask(facts["erased"], count), bits["ball through"])
 
-    assert facts["one step"], "a click and its growing are one step of undo"
+    assert facts["click grown"] and facts["one step"], "a click and its growing are one step of undo"
     assert bits["clicked"].any() and not (bits["clicked"] & disc).any(), "the ball was clicked"
     refused = unpack_mask(facts["refused"], count)
     assert refused.any() and not (bits["strokes"] & refused).any()
