@@ -161,14 +161,18 @@ def _one(name, read, seeds, folder, seed, number, fixed) -> bool:
         (folder / seed / path).write_bytes(files[path])
 
 
-def _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures) -> int:
-    """Work from `begin` on in a forked process, BATCH mutations at most; returns where the next one goes on."""
+def _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures, again=True) -> int:
+    """Work from `begin` on in a forked process, BATCH mutations at most; returns where the next one goes on.
+
+    Libraries such as USD have threads.  One that held a lock while the process was forked leaves it locked in the child, which then waits
+    for ever: so a child that never told of anything is made once more.
+    """
     if not hasattr(os, "fork"):
         return _batch(name, read, seeds, folder, work, begin, fixed, lambda number, text: _note(text, told, failures))
     out, into = os.pipe()
     log = folder / "child.log"
     with warnings.catch_warnings():
-        warnings.simplefilter("ignore", DeprecationWarning)  # other threads do nothing that the child needs
+        warnings.simplefilter("ignore", DeprecationWarning)  # of forks beside threads
         child = os.fork()
     if child == 0:
         try:
@@ -202,6 +206,9 @@ def _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures
                 os.kill(child, signal.SIGKILL)
                 break
     status = os.waitpid(child, 0)[1]
+    if hung and at == begin and again:
+        _write(folder / work[at][0], seeds[work[at][0]])
+        return _child(name, read, seeds, folder, work, begin, fixed, memory, told, failures, again=False)
     if status and len(failures) < MOST:
         seed, number = work[at]
         how = f"waited for {SILENCE} s" if hung else f"ended the process with {os.waitstatus_to_exitcode(status)}"

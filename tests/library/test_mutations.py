@@ -73,6 +73,22 @@ def test_waiting_and_endless_work_are_ended(tmp_path, monkeypatch, how, limit, s
         mutations.campaign("bad", failing(how), SEEDS, tmp_path)
 
 
+@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
+def test_a_child_that_waits_from_the_first_is_made_once_more(tmp_path, monkeypatch):
+    """As one does that was forked while a thread of the process held a lock."""
+    monkeypatch.setattr(mutations, "SILENCE", 1)
+    begun, process = tmp_path / "begun", os.getpid()
+
+    def read(folder):
+        if os.getpid() != process and not begun.exists():
+            begun.touch()
+            time.sleep(1000)
+
+    (tmp_path / "files").mkdir()
+    told = mutations.campaign("good", read, SEEDS, tmp_path / "files")
+    assert begun.exists() and told["accepted"] > 0
+
+
 def test_a_failure_is_replayed_in_this_process(tmp_path, monkeypatch):
     reader = failing(fail_with(KeyError("n")))
     with pytest.raises(AssertionError) as failed:
