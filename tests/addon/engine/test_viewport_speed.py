@@ -215,17 +215,33 @@ def test_what_was_deleted_goes_at_once(window, two, view):
     assert not window([], over=False, wait=False).any()
 
 
+def white_line(left, right, depth):
+    """Draw columns of pixels with their depth."""
+    import gpu
+    from gpu_extras.batch import batch_for_shader
+    from mathutils import Matrix
+
+    shader = gpu.shader.from_builtin('UNIFORM_COLOR')
+    a, b = (2 * x / SIZE[0] - 1 for x in (left, right))
+    corners = [(x, y, 2 * depth - 1) for x, y in ((a, -1), (b, -1), (b, 1), (a, -1), (b, 1), (a, 1))]
+    with gpu.matrix.push_pop(), gpu.matrix.push_pop_projection():
+        gpu.matrix.load_identity()
+        gpu.matrix.load_projection_matrix(Matrix.Identity(4))
+        gpu.state.depth_test_set('ALWAYS')
+        gpu.state.depth_mask_set(True)
+        shader.uniform_float("color", (1, 1, 1, 1))
+        batch_for_shader(shader, 'TRIS', {"pos": corners}).draw(shader)
+        gpu.state.depth_mask_set(False)
+        gpu.state.depth_test_set('NONE')
+
+
 def test_overlays_behind_splats_are_taken_away(window, two, view):
     """White overlays everywhere, one line of them before the splats, and a mark; the grid of a floor that lies far below."""
-    import gpu
 
     def after(framebuffer, depths):
         framebuffer.clear(color=(1.0, 1.0, 1.0, 1.0))
         framebuffer.clear(depth=1.0)
-        gpu.state.scissor_test_set(True)
-        gpu.state.scissor_set(10, 0, 4, SIZE[1])
-        framebuffer.clear(depth=depths.a + depths.b / 1.5)
-        gpu.state.scissor_test_set(False)
+        white_line(10, 14, depths.a + depths.b / 1.5)
         view.cover(depths, SIZE, False, [(30.0, 30.0, 6.0)])
 
     image = window(two[:1], over=False, deep=True, after=after)
