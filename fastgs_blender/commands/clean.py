@@ -15,7 +15,7 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.progress import progress
-from .shared import human_bytes, model_file, note, print_json, say, say_table, use_threads
+from .shared import human_bytes, model_file, note, print_json, refuse_existing, say, say_table, use_threads
 
 STEPS = 100
 """Parts of the whole that progress counts."""
@@ -42,7 +42,7 @@ def run(args: argparse.Namespace) -> None:
     source = formats.open_source(model_file(args.model))
     if not isinstance(source, GaussianModel):
         raise FastGSError(f"{args.model} is a sequence, whose frames have other Gaussians each; fastgs convert makes one model of it.")
-    _refuse_existing([out, *formats.written_files(source, out)], args)
+    refuse_existing([out, *formats.written_files(source, out)], args)
     kinds = None if args.kinds is None else [name for name in args.kinds.split(",") if name]
     with progress(STEPS, "step", "looking", quiet=args.quiet) as bar:
         found = clean(source, args.strength, kinds=kinds, progress=lambda share: bar.to(int(STEPS * share)))
@@ -64,9 +64,3 @@ def run(args: argparse.Namespace) -> None:
     if found.unjudged:
         note(f"the file knows no cameras of its capture, so {' and '.join(found.unjudged)} cannot be judged, nor what its pictures lose; "
              "fastgs annotate stores the cameras.")
-
-
-def _refuse_existing(files: list[Path], args: argparse.Namespace) -> None:
-    taken = [file for file in files if file.exists()]
-    if taken and not args.overwrite:
-        raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")

@@ -14,7 +14,7 @@ import argparse
 import contextlib
 import re
 import warnings
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -23,7 +23,7 @@ from ..util.documentation import page
 from ..util.errors import FastGSError, LossWarning
 from ..util.progress import Progress, progress
 from . import web_page
-from .shared import human_bytes, note, note_frames_outside, print_json, say
+from .shared import human_bytes, note, note_frames_outside, print_json, refuse_existing, say
 
 if TYPE_CHECKING:
     from ..model.gaussians import GaussianModel
@@ -60,7 +60,7 @@ def run(args: argparse.Namespace) -> None:
 
     frames = parse_frames(args.at) if args.at is not None else None
     targets = _targets(args.output, frames)
-    _refuse_existing(targets, args)
+    refuse_existing(targets, args)
     web_page.check_options(targets[0], args)
     losses: list[str] = []
     with _collected(losses):
@@ -83,7 +83,7 @@ def run(args: argparse.Namespace) -> None:
                 if args.antialias:
                     with _collected(losses):
                         result = _sampled(result, args.input, target)
-                _refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
+                refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
                 with _collected(losses, str(target), args.output):
                     if page:
                         web_page.write(result, target, args, partial(_move, bar, done))
@@ -139,12 +139,6 @@ def _collected(losses: list[str], name: str = "", stands_for: str = "") -> Itera
             warnings.showwarning(w.message, w.category, w.filename, w.lineno)
         elif text not in losses:
             losses.append(text)
-
-
-def _refuse_existing(files: Iterable[Path], args: argparse.Namespace) -> None:
-    taken = [file for file in files if file.exists()]
-    if taken and not args.overwrite:
-        raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")
 
 
 def _targets(output: str, frames: Frames | None) -> list[Path]:

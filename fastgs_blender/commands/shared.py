@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
+from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -141,6 +142,13 @@ def model_file(path: str | Path) -> Path:
 def is_run(path: str | Path) -> bool:
     """Whether a folder is that of a training run."""
     return (Path(path) / RUN).is_file()
+
+
+def refuse_existing(files: Iterable[Path], args: argparse.Namespace) -> None:
+    """Raise FastGSError where one of the files to write is there, unless --overwrite was given."""
+    taken = [file for file in files if file.exists()]
+    if taken and not args.overwrite:
+        raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")
 
 
 def human_bytes(count: float) -> str:

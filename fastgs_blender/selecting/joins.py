@@ -2,15 +2,14 @@
 """What joins the Gaussians of a model: neighbours in place and velocity, and how alike the two of each pair are."""
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..model.slicing import opacities_at, positions_at
 from ..rendering.filters import base_colours
+from ..util.kept import kept
 from .neighbours import nearest
 
 TIMES = 9
@@ -40,23 +39,10 @@ class Joins:
     differ: np.ndarray
 
 
-_known: WeakKeyDictionary[GaussianModel, Joins] = WeakKeyDictionary()
-_lock = threading.Lock()
-
-
+@kept
+@np.errstate(all="ignore")
 def joins(model: GaussianModel) -> Joins:
     """The joins of a model's Gaussians, kept while it lives.  Gaussians that are never seen have none."""
-    with _lock:
-        found = _known.get(model)
-    if found is None:
-        with np.errstate(all="ignore"):
-            found = _found(model)
-        with _lock:
-            _known[model] = found
-    return found
-
-
-def _found(model: GaussianModel) -> Joins:
     times = (np.arange(TIMES) + 0.5) / TIMES
     place = np.stack([positions_at(model, t) for t in times]).astype(np.float32)
     alive = np.stack([opacities_at(model, t) >= ALIVE for t in times])

@@ -17,10 +17,10 @@ SIDE = 480
 """Most pixels of the longer side of the pictures by which it is told what is seen."""
 
 
-def small(camera: Camera) -> Camera:
-    """The camera of the whole image, at most SIDE pixels large."""
-    size = min(1.0, SIDE / max(camera.width, camera.height))
-    return camera.stretched(*(max(1, round(size * side)) for side in (camera.width, camera.height)))
+def small(camera: Camera, side: int = SIDE) -> Camera:
+    """The camera of the whole image, whose longer side has at most `side` pixels."""
+    size = min(1.0, side / max(camera.width, camera.height))
+    return camera.stretched(*(max(1, round(size * length)) for length in (camera.width, camera.height)))
 
 
 class Light:

@@ -25,6 +25,7 @@ from ..model.gaussians import GaussianModel
 from ..model.slicing import positions_at, sigmoid
 from ..rendering.api import render
 from ..util.backends import load_backend
+from .light import small
 
 SIDE = 200
 """Pixels of the longer side of the pictures."""
@@ -78,7 +79,7 @@ def looks(model: GaussianModel) -> list[Look]:
 
     A model that stands still is looked at as often: each picture has other signs.
     """
-    cameras = [_small(camera_of(view)) for view in model.surroundings.cameras]
+    cameras = [small(camera_of(view), SIDE) for view in model.surroundings.cameras]
     each = -(-PICTURES // max(len(cameras), 1))
     return [Look(number, camera, (k + number * GOLDEN % 1) / each) for number, camera in enumerate(cameras) for k in range(each)]
 
@@ -170,9 +171,3 @@ def _weights(model: GaussianModel, opacity: np.ndarray, camera: Camera, t: float
     slopes = backend.backward(picture, backend.array(asked))
     light, change = backend.numpy(slopes["features"]), backend.numpy(slopes["opacity"])
     return light[:, 1], light[:, 2], change / (1 - sigmoid(opacity))
-
-
-def _small(camera: Camera) -> Camera:
-    """The camera with pictures at most SIDE pixels large."""
-    size = min(1.0, SIDE / max(camera.width, camera.height))
-    return camera.stretched(*(max(1, round(size * side)) for side in (camera.width, camera.height)))

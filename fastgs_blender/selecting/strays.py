@@ -2,15 +2,14 @@
 """How each Gaussian lies among its nearest neighbours: whether it is alone, and whether it has another colour than all of them."""
 from __future__ import annotations
 
-import threading
 from dataclasses import dataclass
-from weakref import WeakKeyDictionary
 
 import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..model.slicing import opacities_at, positions_at
 from ..rendering.filters import base_colours
+from ..util.kept import kept
 from .neighbours import nearest
 
 TIMES = 9
@@ -31,23 +30,10 @@ class Strays:
     tint: np.ndarray
 
 
-_known: WeakKeyDictionary[GaussianModel, Strays] = WeakKeyDictionary()
-_lock = threading.Lock()
-
-
+@kept
+@np.errstate(all="ignore")
 def strays(model: GaussianModel) -> Strays:
     """How the Gaussians of a model lie among each other, kept while it lives."""
-    with _lock:
-        found = _known.get(model)
-    if found is None:
-        with np.errstate(all="ignore"):
-            found = _found(model)
-        with _lock:
-            _known[model] = found
-    return found
-
-
-def _found(model: GaussianModel) -> Strays:
     n = len(model)
     if n <= COUNT:
         return Strays(np.ones(n, np.float32), np.zeros(n, np.float32))
