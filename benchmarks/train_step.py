@@ -15,6 +15,7 @@ from __future__ import annotations
 import argparse
 import json
 import statistics
+from collections import deque
 from pathlib import Path
 
 import numpy as np
@@ -46,16 +47,20 @@ class Step:
         self.rates["motion"] = 1e-5 / np.repeat(np.arange(1.0, 6), 6)
         self.statistics, self.norm = Statistics.empty(self.backend, gaussians), motion_norm(self.model.basis, EXTENT)
         target = fg.render(self.model, self.camera, TIME + 0.01, backend="cpu")["rgb"]
-        self.target = self.backend.array(np.ascontiguousarray(target, np.float32))
+        self.target, self.begun = self.backend.array(np.ascontiguousarray(target, np.float32)), deque()
 
     def __call__(self):
         backend, arrays, seen = self.backend, self.optimiser.arrays, self.backend.zeros((len(self.model),))
+        ahead = backend.begin_step()
         picture = backend.forward(arrays, self.model, self.camera, TIME)
         difference = backend.compare(picture, self.target, None, None, 0.2, 0.0, 1.0)
         gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics, seen=seen)
         rows = backend.rows(seen)
         backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, self.optimiser.steps_since_update(rows))
         self.optimiser.step(gradients, rows, self.rates)
+        self.begun.append(backend.end_step())
+        if len(self.begun) > ahead:
+            self.begun.popleft()()
 
 
 class Parts(Step):

@@ -7,6 +7,7 @@ import json
 from pathlib import Path
 
 import numpy as np
+import pytest
 
 import fastgs_blender as fg
 from fastgs_blender import cli
@@ -29,6 +30,18 @@ def test_the_benchmark_runs_small_on_any_adapter(gpu, adapter, tmp_path, monkeyp
     assert all(stages[f"{name}, {where} ms"] > 0 for name in names for where in ("GPU", "CPU"))
     assert frames["GPU, pictures stay there, frames a second"] > 0 and step["GPU ms"] > 0 and step["CPU ms"] > 0
     assert gpu.failed is None
+
+
+def test_the_profile_names_every_stage(adapter, tmp_path, monkeypatch):
+    if "timestamp-query" not in adapter.native.features:
+        pytest.skip("this adapter has no clock")
+    monkeypatch.syspath_prepend(str(BENCHMARKS))
+    bench = importlib.import_module("gpu_profile")
+    bench.main(["--device", adapter.name, "--gaussians", "300", "--size", "48x32", "--runs", "2", "--json", str(tmp_path / "figures.json")])
+    found = json.loads((tmp_path / "figures.json").read_text())
+    for stages, names in ((found["frame"], ("project", "raster")), (found["training step"], ("raster_backward", "adam"))):
+        assert all(any(label.startswith(f"{name} x") and value > 0 for label, value in stages.items()) for name in names)
+        assert stages["dispatches"] > len(names) and stages["GPU busy, ms"] > 0
 
 
 def test_stages_are_the_gpus(gpu, adapter, monkeypatch, tmp_path, capsys):
