@@ -13,6 +13,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
+from ..model.slicing import slice_model, still
 from ..model.surroundings import WITHIN
 from ..util.arguments import numbers, real
 from ..util.errors import FastGSError
@@ -195,6 +196,11 @@ class Instance:
         """The instance with some of its Gaussians [M] alone; model: of these, where there is one already."""
         return replace(self, model=model or self.model.take(index), origin=self.source,
                        rows=index if self.rows is None else self.rows[index])
+
+    def frozen(self: One) -> One:
+        """The instance with a model that holds its Gaussians as they are at its time, without those that have faded away."""
+        now = slice_model(self.model, self.t)
+        return replace(self.part(now.index, still(self.model, now)), t=0.0)
 
     @cached_property
     def hidden(self) -> np.ndarray:

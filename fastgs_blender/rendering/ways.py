@@ -15,7 +15,6 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import RGB
-from ..model.slicing import positions_at
 from .instances import Instance
 from .passing import BEHIND
 
@@ -100,7 +99,7 @@ class Ways:
         """Of each instance, its Gaussians' centres [N, 3] in the world and their reach [N]."""
         found = []
         for each in self.instances:
-            centre = positions_at(each.model, each.t) @ each.placement[:3, :3].T + each.placement[:3, 3]
+            centre = each.model.position @ each.placement[:3, :3].T + each.placement[:3, 3]
             size = REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
             found.append((centre, np.maximum(size * np.exp(each.model.scale.max(1).astype(np.float64)), each.settings.min_size)))
         return found
@@ -118,9 +117,10 @@ class Ways:
 
 
 def _bare(instance: Instance) -> Instance:
-    """The instance without colours, which are nothing to shadows."""
+    """The instance as it is at its time, without colours, which are nothing to shadows."""
     model = instance.model
-    return replace(instance, model=replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), origin=instance.source)
+    bare = replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB())
+    return replace(instance, model=bare, origin=instance.source).frozen()
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:

@@ -7,12 +7,10 @@ samples that are allowed do not suffice, splats are drawn out over the gaps, so 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
 
 import numpy as np
 from numba import float32
 
-from ...model.slicing import slice_model, still
 from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
 from ...rendering.layout import Exposed, Layout
@@ -37,7 +35,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
     x0, y0, width, height = camera.window
     film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
     if not exposure.moves:
-        instances = [_frozen(instance) for instance in instances]
+        instances = [instance.frozen() for instance in instances]
     total = sum(len(instance.model) for instance in instances)
     paths = measure(exposure, total, lambda *place: _snapshot(*exposure.scene(instances, camera, *place), total))
     left, top = x0 // TILE, y0 // TILE
@@ -69,12 +67,6 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         progress((i + 1) / len(samples))
     rgb, alpha = film.picture()
     return Exposed(rgb if colours else None, alpha, None if holdout is None else film.held, film.shares if objects else None)
-
-
-def _frozen(instance):
-    """The instance with its model sliced at its time, for instances that do not move."""
-    now = slice_model(instance.model, instance.t)
-    return replace(instance.part(now.index, still(instance.model, now)), t=0.0)
 
 
 def _snapshot(moved, eye, total: int) -> Snapshot:

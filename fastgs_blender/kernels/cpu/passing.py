@@ -21,7 +21,11 @@ from .sort import order_by
 from .splats import project_instances
 from .tile_lists import TileLists, list_tiles
 
-TILE = raster.TILE
+TILE = 64
+"""Pixels of a tile's side: large splats, which stand near a lamp, are in few lists."""
+PART = 16
+"""Pixels of the side of the squares by which a tile's points are sorted, so that those side by side ask for much the same splats."""
+PARTS = (TILE // PART) ** 2
 CHUNK = 16_384
 """Points in one piece of work."""
 BATCH = 16
@@ -37,14 +41,14 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
     asserts.past_splats(points, over)
     layout = Layout(instances, False, plane=True)
     splats = project_instances(instances, camera, layout)
-    listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera)
-    seen, begins, asked = _by_tile(listing.grid, camera, points, over)
+    listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera, TILE)
+    seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
     out = np.ones(len(points), np.float32)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, raster.CHANNEL + layout.plane, begins, asked, seen,
                 camera.width / 2, camera.height / 2, out)
-        run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first))
+        run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
     return out
 
 
@@ -52,59 +56,65 @@ def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> n
     """PictureBackend.past_triangles()."""
     asserts.past_splats(points, over)
     occluder = Occluder.of(triangles, camera)
-    seen, begins, asked = _by_tile(occluder.listing.grid, camera, points, over)
+    seen, begins, asked = _by_tile(occluder.listing.grid, raster.TILE, camera, points, over)
     out = np.ones(len(points), np.float32)
     rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
     run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
     return out
 
 
-def _pieces(tiles: int) -> list[tuple[int, int]]:
+def _pieces(tiles: int, least: int = TILES) -> list[tuple[int, int]]:
     """A number of tiles in pieces of work: few, because there are many such pictures, and they are small."""
-    return ranges(tiles, max(TILES, -(-tiles // (4 * thread_count()))))
+    return ranges(tiles, max(least, -(-tiles // (4 * thread_count()))))
 
 
-def _by_tile(grid, camera, points: np.ndarray, over: np.ndarray):
-    """Points by tile: x and y in pixels and the depth that counts of each [P, 3], where each tile's points begin in a list of their
-    indices, [tiles + 1], and the list, the nearest first.  Points beside the window are in the nearest tile, those behind the camera in
-    none."""
-    seen, tile = np.zeros((len(points), 3)), np.empty(len(points), np.int32)
+def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray):
+    """Points by part of tiles: x and y in pixels and the depth that counts of each [P, 3], where each part's points begin in a list of
+    their indices, [parts + 1], and the list, the nearest first.
+
+    size: pixels of a tile's side; its parts, one after another, have PART.  Points beside the window are in the nearest part, those behind
+    the camera in none.
+    """
+    seen, part, parts = np.zeros((len(points), 3)), np.empty(len(points), np.int32), (size // PART) ** 2
     rest = (points, over, np.ascontiguousarray(camera.world_to_camera[:3]),
-            tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid, seen, tile)
+            tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
+            size // PART, seen, part)
     run(lambda a, b: place(a, b, *rest), ranges(len(points), CHUNK))
     order = order_by(seen[:, 2].astype(np.float32), np.arange(len(points), dtype=np.int32))
-    return seen, *list_points(order, tile, grid[2] * grid[3])
+    return seen, *list_points(order, part, grid[2] * grid[3] * parts)
 
 
 @kernel
-def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, seen, tile):
-    """Where the points first..last are seen, and in which tile, as _by_tile() says; columns * rows for those in none."""
+def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, split, seen, part):
+    """Where the points first..last are seen, and in which part of which tile, split x split of each, as _by_tile() says; the number after
+    the last for those in none."""
     fx, fy, cx, cy = lens
     for p in range(first, last):
         x = view[0, 0] * points[p, 0] + view[0, 1] * points[p, 1] + view[0, 2] * points[p, 2] + view[0, 3]
         y = view[1, 0] * points[p, 0] + view[1, 1] * points[p, 1] + view[1, 2] * points[p, 2] + view[1, 3]
         z = view[2, 0] * points[p, 0] + view[2, 1] * points[p, 1] + view[2, 2] * points[p, 2] + view[2, 3]
-        tile[p] = columns * rows
+        part[p] = columns * rows * split * split
         if not z > BEHIND:
             continue
         unit = 1.0 if orthographic else 1.0 / z
         seen[p, 0], seen[p, 1], seen[p, 2] = fx * x * unit + cx, fy * y * unit + cy, z - over[p]
-        column = np.int64(min(max(seen[p, 0] / TILE - tile_x, 0.0), columns - 1.0))
-        tile[p] = np.int64(min(max(seen[p, 1] / TILE - tile_y, 0.0), rows - 1.0)) * columns + column
+        column = np.int64(min(max(seen[p, 0] / PART - tile_x * split, 0.0), columns * split - 1.0))
+        row = np.int64(min(max(seen[p, 1] / PART - tile_y * split, 0.0), rows * split - 1.0))
+        part[p] = (row // split * columns + column // split) * split * split + row % split * split + column % split
 
 
 @kernel
-def list_points(order, tile, tiles):
-    """A counting sort: where each tile's points begin in a list, and the list of the points' indices, in an order."""
-    begins = np.zeros(tiles + 2, np.int64)
-    for p in range(len(tile)):
-        begins[tile[p] + 1] += 1
-    for k in range(tiles + 1):
+def list_points(order, part, parts):
+    """A counting sort: where each part's points begin in a list, and the list of the points' indices, in an order."""
+    begins = np.zeros(parts + 2, np.int64)
+    for p in range(len(part)):
+        begins[part[p] + 1] += 1
+    for k in range(parts + 1):
         begins[k + 1] += begins[k]
-    asked, cursor = np.empty(len(tile), np.int32), begins[:-1].copy()
+    asked, cursor = np.empty(len(part), np.int32), begins[:-1].copy()
     for p in order:
-        asked[cursor[tile[p]]] = p
-        cursor[tile[p]] += 1
+        asked[cursor[part[p]]] = p
+        cursor[part[p]] += 1
     return begins[:-1].copy(), asked
 
 
@@ -127,55 +137,69 @@ def exp2(x):
 def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
                 out):
     """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
-    state, splat = np.empty((4, BATCH), np.float32), np.empty((14, 0), np.float32)
+    state, splat, near = np.empty((4, BATCH), np.float32), np.empty((14, 0), np.float32), np.empty(0, np.int32)
     px, py, limit, light = state[0], state[1], state[2], state[3]
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
-        if total == 0 or begins[tile] == begins[tile + 1]:
+        if total == 0 or begins[tile * PARTS] == begins[(tile + 1) * PARTS]:
             continue
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
         if splat.shape[1] < total:
-            splat = np.empty((14, 2 * total), np.float32)
+            splat, near = np.empty((14, 2 * total), np.float32), np.empty(2 * total, np.int32)
         gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, splat)
-        for begin in range(begins[tile], begins[tile + 1], BATCH):
-            count, farthest = min(BATCH, begins[tile + 1] - begin), float32(-np.inf)
-            west, east, north, south = float32(TILE), float32(0.0), float32(TILE), float32(0.0)
-            for j in range(BATCH):
-                light[j], px[j], py[j], limit[j] = float32(1.0), float32(0.0), float32(0.0), float32(-np.inf)
-                if j < count:
-                    p = asked[begin + j]
-                    # lists hold what touches the centres of a tile's pixels: a point beside them is moved there
-                    px[j] = min(max(seen[p, 0] - left, 0.5), TILE - 0.5)
-                    py[j] = min(max(seen[p, 1] - top, 0.5), TILE - 0.5)
-                    limit[j] = seen[p, 2]
-                    farthest = max(farthest, limit[j])
-                    west, east, north, south = min(west, px[j]), max(east, px[j]), min(north, py[j]), max(south, py[j])
-            blended = 0
-            for k in range(total):
-                if not splat[4, k] < farthest:
-                    break
-                if splat[0, k] < west or splat[1, k] > east or splat[2, k] < north or splat[3, k] > south:
-                    continue
-                depth, mx, my, a, b, c = splat[4, k], splat[5, k], splat[6, k], splat[7, k], splat[8, k], splat[9, k]
-                z, slope_x, slope_y, peak = splat[10, k], splat[11, k], splat[12, k], splat[13, k]
-                i = ids[starts[tile] + k]
-                most, cut = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
+        for part in range(tile * PARTS, (tile + 1) * PARTS):
+            found = pick(begins[part], begins[part + 1], asked, seen, left, top, total, splat, near)
+            for begin in range(begins[part], begins[part + 1], BATCH):
+                count, farthest = min(BATCH, begins[part + 1] - begin), float32(-np.inf)
                 for j in range(BATCH):
-                    dx, dy = px[j] - mx, py[j] - my
-                    u, v = a * dx + b * dy, c * dy
-                    exponent = peak - u * u - v * v
-                    near = max(depth, z + slope_x * px[j] + slope_y * py[j])
-                    alpha = min(exp2(max(exponent, float32(-8.0))), most)
-                    light[j] *= float32(1.0) - (alpha if (exponent >= cut) & (near < limit[j]) else float32(0.0))
-                blended += 1
-                if blended % 8 == 0:
-                    brightest = float32(0.0)
-                    for j in range(count):
-                        brightest = max(brightest, light[j])
-                    if brightest < DARK:
+                    light[j], px[j], py[j], limit[j] = float32(1.0), float32(0.0), float32(0.0), float32(-np.inf)
+                    if j < count:
+                        p = asked[begin + j]
+                        px[j], py[j], limit[j] = within(seen[p, 0] - left), within(seen[p, 1] - top), seen[p, 2]
+                        farthest = max(farthest, limit[j])
+                for n in range(found):
+                    k = near[n]
+                    if not splat[4, k] < farthest:
                         break
-            for j in range(count):
-                out[asked[begin + j]] = light[j]
+                    depth, mx, my, a, b, c = splat[4, k], splat[5, k], splat[6, k], splat[7, k], splat[8, k], splat[9, k]
+                    z, slope_x, slope_y, peak = splat[10, k], splat[11, k], splat[12, k], splat[13, k]
+                    i = ids[starts[tile] + k]
+                    most, cut = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
+                    for j in range(BATCH):
+                        dx, dy = px[j] - mx, py[j] - my
+                        u, v = a * dx + b * dy, c * dy
+                        exponent = peak - u * u - v * v
+                        before = max(depth, z + slope_x * px[j] + slope_y * py[j])
+                        alpha = min(exp2(max(exponent, float32(-8.0))), most)
+                        light[j] *= float32(1.0) - (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
+                    if n % 8 == 7:
+                        brightest = float32(0.0)
+                        for j in range(count):
+                            brightest = max(brightest, light[j])
+                        if brightest < DARK:
+                            break
+                for j in range(count):
+                    out[asked[begin + j]] = light[j]
+
+
+@inline
+def within(x):
+    """A coordinate in a tile: its list holds what touches the centres of its pixels, so a point beside them is moved there."""
+    return min(max(x, 0.5), TILE - 0.5)
+
+
+@inline
+def pick(begin, end, asked, seen, left, top, total, splat, near):
+    """Which of a tile's splats reach the box around the points begin..end of a part, into near; returns their number."""
+    west, east, north, south = np.inf, -np.inf, np.inf, -np.inf
+    for q in range(begin, end):
+        x, y = within(seen[asked[q], 0] - left), within(seen[asked[q], 1] - top)
+        west, east, north, south = min(west, x), max(east, x), min(north, y), max(south, y)
+    found = 0
+    for k in range(total if end > begin else 0):
+        near[found] = k
+        found += (splat[0, k] >= west) & (splat[1, k] <= east) & (splat[2, k] >= north) & (splat[3, k] <= south)
+    return found
 
 
 @inline

@@ -10,7 +10,10 @@ from .jit import inline, kernel
 
 SWEEPS = 4
 """Of Jacobi's rotations; a matrix of three rows is then diagonal to rounding."""
-
+SMALL = 1e-8
+"""Share of a matrix's trace beside which an element counts as 0."""
+CHUNK = 4096
+"""Gaussians in one piece of work."""
 FARTHEST = 1 << 20
 """Cells from the first one in which neighbours are told apart."""
 
@@ -23,32 +26,33 @@ def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach
         return out
     low = places.min(0)
     cell = np.clip((places - low) / reach, 0, FARTHEST).astype(np.int64)
-    shape = cell.max(0) + 1
-    key = (cell[:, 0] * shape[1] + cell[:, 1]) * shape[2] + cell[:, 2]
+    _, wide, deep = cell.max(0) + 3  # an empty cell at either end, so that every cell has neighbours
+    key = (cell[:, 0] * wide + cell[:, 1]) * deep + cell[:, 2]
+    beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
     order = np.argsort(key, kind="stable")
-    args = places[order], spreads[order], weights[order], cell[order], key[order], shape, float(reach)
+    args = places[order], spreads[order], weights[order], key[order], beside, float(reach)
     found = np.zeros((len(places), 3))
-    run(lambda begin, end: _thinnest(*args, begin, end, found), ranges(len(places), 1024))
+    run(lambda begin, end: _thinnest(*args, begin, end, found), ranges(len(places), CHUNK))
     out[order] = found
     return out
 
 
 @kernel
-def _thinnest(places, spreads, weights, cells, keys, shape, reach, begin, end, out):
+def _thinnest(places, spreads, weights, keys, beside, reach, begin, end, out):
     c, v, first, last = np.empty((3, 3)), np.empty((3, 3)), np.empty(9, np.int64), np.empty(9, np.int64)
-    rows = 0
+    for row in range(9):
+        first[row] = last[row] = np.searchsorted(keys, keys[begin] + beside[row] - 1)
     for p in range(begin, end):
         if p == begin or keys[p] != keys[p - 1]:
-            rows = 0
-            for i in range(max(cells[p, 0] - 1, 0), min(cells[p, 0] + 2, shape[0])):
-                for j in range(max(cells[p, 1] - 1, 0), min(cells[p, 1] + 2, shape[1])):
-                    row = (i * shape[1] + j) * shape[2]
-                    first[rows] = np.searchsorted(keys, row + max(cells[p, 2] - 1, 0))
-                    last[rows] = np.searchsorted(keys, row + min(cells[p, 2] + 1, shape[2] - 1), side="right")
-                    rows += 1
+            for row in range(9):  # keys grow with p, so that the cells beside it only move on
+                while first[row] < len(keys) and keys[first[row]] < keys[p] + beside[row] - 1:
+                    first[row] += 1
+                last[row] = max(last[row], first[row])
+                while last[row] < len(keys) and keys[last[row]] <= keys[p] + beside[row] + 1:
+                    last[row] += 1
         total = sx = sy = sz = 0.0
         xx = xy = xz = yy = yz = zz = 0.0
-        for row in range(rows):
+        for row in range(9):
             for n in range(first[row], last[row]):
                 x, y, z = places[n, 0] - places[p, 0], places[n, 1] - places[p, 1], places[n, 2] - places[p, 2]
                 near = 1 - (x * x + y * y + z * z) / (reach * reach)
@@ -79,10 +83,11 @@ def _diagonalise(c, v):
     for i in range(3):
         for j in range(3):
             v[i, j] = 1.0 if i == j else 0.0
+    small = SMALL * (c[0, 0] + c[1, 1] + c[2, 2])
     for _ in range(SWEEPS):
         for i in range(2):
             for j in range(i + 1, 3):
-                if c[i, j] == 0:
+                if abs(c[i, j]) <= small:
                     continue
                 ratio = (c[j, j] - c[i, i]) / (2 * c[i, j])
                 t = (1.0 if ratio >= 0 else -1.0) / (abs(ratio) + np.sqrt(ratio * ratio + 1))

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Kernels that find which splats touch which 16 x 16 tile, exactly, and list them front to back.
+"""Kernels that find which splats touch which tile, exactly, and list them front to back.
 
 Splats come sorted, so a counting sort by tile that keeps their order is all it takes.  A tile is listed if the ellipse in
 which alpha reaches the cut crosses the tile's pixel centres; each row of tiles gets the ellipse's exact extent there.
@@ -14,8 +14,6 @@ from . import raster
 from .jit import inline, kernel
 from .simd import prefetch
 
-TILE = raster.TILE
-SHIFT = TILE.bit_length() - 1
 MARGIN = 1e-3
 """Pixels by which an extent is widened, so that rounding never loses a pixel that the rasteriser would blend."""
 
@@ -34,15 +32,15 @@ def grown(array):
 
 
 @kernel
-def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, counts):
+def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, counts):
     """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
-    The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them.  counts [columns * rows] counts the
-    splats of each tile.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays.
+    The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them, of 2^shift pixels.  counts [columns * rows] counts
+    the splats of each tile.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays.
     """
     splat = np.empty(2 * (last - first) + 16, np.int32)
     begin, end = np.empty_like(splat), np.empty_like(splat)
-    n = 0
+    n, tile = 0, 1 << shift
     for k in range(first, last):
         i = np.intp(order[k])
         ahead = np.intp(order[min(k + AHEAD, last - 1)])
@@ -51,14 +49,14 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
         mx, my = geometry[i, raster.MEAN_X], geometry[i, raster.MEAN_Y]
         rx, ry = np.float64(attributes[i, raster.RADIUS_X]), np.float64(attributes[i, raster.RADIUS_Y])
         # pixel centres lie at + 0.5
-        box_top = max(math.ceil(max(my - ry, -1e9) - 0.5), tile_y * TILE)
-        box_bottom = min(math.floor(min(my + ry, 1e9) - 0.5), (tile_y + rows) * TILE - 1)
-        box_left = max(math.ceil(max(mx - rx, -1e9) - 0.5), tile_x * TILE)
-        box_right = min(math.floor(min(mx + rx, 1e9) - 0.5), (tile_x + columns) * TILE - 1)
+        box_top = max(math.ceil(max(my - ry, -1e9) - 0.5), tile_y * tile)
+        box_bottom = min(math.floor(min(my + ry, 1e9) - 0.5), (tile_y + rows) * tile - 1)
+        box_left = max(math.ceil(max(mx - rx, -1e9) - 0.5), tile_x * tile)
+        box_right = min(math.floor(min(mx + rx, 1e9) - 0.5), (tile_x + columns) * tile - 1)
         if box_top > box_bottom or box_left > box_right:
             continue
-        left, right = (box_left >> SHIFT) - tile_x, (box_right >> SHIFT) - tile_x
-        top, bottom = (box_top >> SHIFT) - tile_y, (box_bottom >> SHIFT) - tile_y
+        left, right = (box_left >> shift) - tile_x, (box_right >> shift) - tile_x
+        top, bottom = (box_top >> shift) - tile_y, (box_bottom >> shift) - tile_y
         exact = left < right and top < bottom  # in one row or one column of tiles the box is exact already
         a, b, c, root, peak = 0.0, 0.0, 0.0, 0.0, 0.0
         if exact:
@@ -69,8 +67,8 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
         for row in range(top, bottom + 1):
             if exact:
                 # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
-                low = (tile_y + row) * TILE + 0.5 - my
-                high = low + (TILE - 1)
+                low = (tile_y + row) * tile + 0.5 - my
+                high = low + (tile - 1)
                 y = min(max(-peak, low), high)
                 right_end = (math.sqrt(max(root * root - (c * y) ** 2, 0.0)) - b * y) / a
                 y = min(max(peak, low), high)
@@ -79,12 +77,12 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
                 x1 = min(math.floor(min(mx + right_end + MARGIN, 1e9) - 0.5), box_right)
                 if x0 > x1:
                     continue
-                left, right = (x0 >> SHIFT) - tile_x, (x1 >> SHIFT) - tile_x
+                left, right = (x0 >> shift) - tile_x, (x1 >> shift) - tile_x
             if n == len(splat):
                 splat, begin, end = grown(splat), grown(begin), grown(end)
             splat[n], begin[n], end[n] = i, row * columns + left, row * columns + right + 1
-            for tile in range(begin[n], end[n]):
-                counts[tile] += 1
+            for touched in range(begin[n], end[n]):
+                counts[touched] += 1
             n += 1
     return splat[:n], begin[:n], end[:n]
 
