@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from ..protocol import DeviceError
-from . import shaders
+from .pipelines import Groups, Pipeline, compiled
 
 GROUP = 256
 """Threads of a workgroup: the most that WebGPU promises."""
@@ -51,8 +51,7 @@ class Buffer:
     reused: bool = True
 
     def __del__(self):
-        if self.reused:
-            self.device.take_back(self)
+        self.device.take_back(self)
 
 
 @dataclass(frozen=True, eq=False)
@@ -106,7 +105,9 @@ class Device:
     guessing: bool = False
     guesses: dict = field(default_factory=dict)
     when_full: list[Callable[[], None]] = field(default_factory=list)
-    _pipelines: dict = field(default_factory=dict)
+    _pipelines: dict[tuple, Pipeline] = field(default_factory=dict)
+    _groups: Groups = field(default_factory=Groups)
+    _recorded: set[int] = field(default_factory=set)  # ids of the buffers in commands that have not been sent
     _spare: dict[int, list] = field(default_factory=dict)
     _spare_bytes: int = 0
     _encoder: Any = None
@@ -202,9 +203,11 @@ class Device:
         """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (An argument, because buffers may outlive this module's
         names when Python ends.)"""
         with self._lock:
-            if not self.broken and self._spare_bytes + buffer.size <= most:
+            if buffer.reused and not self.broken and self._spare_bytes + buffer.size <= most:
                 self._spare.setdefault(buffer.size, []).append(buffer.native)
                 self._spare_bytes += buffer.size
+            else:
+                self._groups.forget(buffer.native)
 
     def _let_go(self) -> None:
         self.submit()
@@ -213,6 +216,7 @@ class Device:
         with self._lock:
             self._spare.clear()
             self._spare_bytes = 0
+            self._groups.forget()
 
     def empty(self, shape, dtype=np.float32) -> Array:
         """An array that is not initialised."""
@@ -226,6 +230,7 @@ class Device:
 
     def clear(self, buffer: Buffer) -> None:
         """Fill a buffer with zeros."""
+        self._recorded.add(id(buffer.native))
         self._try(lambda: self._commands().clear_buffer(buffer.native))
 
     def array(self, values) -> Array:
@@ -239,14 +244,16 @@ class Device:
         return array
 
     def write(self, buffer: Buffer, data: np.ndarray, at: int = 0) -> None:
-        """Write numbers into a buffer from its number `at` on, after all work that was recorded."""
+        """Write numbers into a buffer from its number `at` on, after all work that was recorded with it."""
         if data.size:
-            self.submit()
+            if id(buffer.native) in self._recorded:
+                self.submit()
             self._try(lambda: self.native.queue.write_buffer(buffer.native, 4 * at, data))
 
     def copy(self, source: Buffer, target: Buffer, numbers: int, begin: int = 0, at: int = 0) -> None:
         """Copy so many numbers from `begin` on in one buffer to `at` in another."""
         if numbers:
+            self._recorded.update((id(source.native), id(target.native)))
             self._try(lambda: self._commands().copy_buffer_to_buffer(source.native, 4 * begin, target.native, 4 * at, 4 * numbers))
 
     def read(self, buffer: Buffer, dtype, count: int, begin: int = 0) -> np.ndarray:
@@ -300,28 +307,26 @@ class Device:
         x = min(count, WIDEST)
         self._try(lambda: self._dispatch(self._pipeline(stage, constants), packed(parameters), buffers, (x, -(-count // x), 1)))
 
-    def _dispatch(self, pipeline, parameters: bytes, buffers, size) -> None:
+    def _dispatch(self, pipeline: Pipeline, parameters: bytes, buffers, size) -> None:
         where = -(-len(self._parameters) // SLOT) * SLOT
         if where + len(parameters) > PARAMETERS:
             self.submit()
             where = 0
         self._parameters += bytes(where - len(self._parameters)) + parameters
-        entries = [{"binding": 0, "resource": {"buffer": self._arena, "offset": where, "size": len(parameters)}}]
-        for number, each in enumerate(buffers, 1):
-            buffer, at = (each.buffer, 4 * each.begin) if isinstance(each, Array) else (each, 0)
-            entries.append({"binding": number, "resource": {"buffer": buffer.native, "offset": at, "size": buffer.size - at}})
-        group = self.native.create_bind_group(layout=pipeline.get_bind_group_layout(0), entries=entries)
+        parts = [(each.buffer, 4 * each.begin) if isinstance(each, Array) else (each, 0) for each in buffers]
+        self._recorded.update(id(buffer.native) for buffer, _ in parts)
+        group = self._groups.get(self.native, pipeline, (self._arena, len(parameters)),
+                                 [(buffer.native, first, buffer.size - first) for buffer, first in parts])
         if self._pass is None:
             self._pass = self._commands().begin_compute_pass()
-        self._pass.set_pipeline(pipeline)
-        self._pass.set_bind_group(0, group)
+        self._pass.set_pipeline(pipeline.native)
+        self._pass.set_bind_group(0, group, [where])
         self._pass.dispatch_workgroups(*size)
 
-    def _pipeline(self, stage: str, constants: dict):
+    def _pipeline(self, stage: str, constants: dict) -> Pipeline:
         key = stage, *sorted(constants.items())
         if key not in self._pipelines:
-            module = self.native.create_shader_module(code=shaders.source(stage, self.subgroups, **constants), label=stage)
-            self._pipelines[key] = self.native.create_compute_pipeline(layout="auto", compute={"module": module, "entry_point": "main"})
+            self._pipelines[key] = compiled(self.native, stage, self.subgroups, constants)
         return self._pipelines[key]
 
     def _commands(self):
@@ -342,6 +347,7 @@ class Device:
             return
         commands = self._commands()
         self._encoder = None
+        self._recorded.clear()
         if self._parameters:
             self.native.queue.write_buffer(self._arena, 0, self._parameters)
             self._parameters = bytearray()

@@ -13,7 +13,7 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import viewpoint_of
-from fastgs_blender.kernels.gpu import blend, device, picture, scene
+from fastgs_blender.kernels.gpu import blend, device, picture, pipelines, scene
 from fastgs_blender.model.surroundings import Surroundings
 from fastgs_blender.rendering.crops import Crop
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance, ObjectSettings
@@ -285,7 +285,7 @@ def test_what_does_not_fit_concerns_its_own_picture_alone(fresh, adapter, crowd,
 
 def test_a_refused_shader_is_told(fresh, crowd, monkeypatch, caplog):
     fresh.backend.device._pipelines = {}
-    monkeypatch.setattr(device.shaders, "source", lambda stage, *given, **constants: "fn main( {")
+    monkeypatch.setattr(pipelines.shaders, "source", lambda stage, *given, **constants: "fn main( {")
     instances, camera = crowd
     assert np.array_equal(fg.render(instances, camera, backend=fresh.name)["rgb"], fg.render(instances, camera, backend="cpu")["rgb"])
     assert "expected" in caplog.messages[0]
