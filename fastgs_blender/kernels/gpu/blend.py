@@ -14,6 +14,11 @@ from .shaders import TILE
 from .splats import Piece, Splats, counted, gathered
 
 
+def batch(quads: int) -> int:
+    """How many splats of so many quads the threads of a tile read together: as many as fit into WebGPU's 16 KiB, a power of two."""
+    return min(1 << (16_000 // (16 * quads + 36)).bit_length() - 1, 256)
+
+
 @dataclass(frozen=True, eq=False)
 class How:
     """How splats are blended.
@@ -113,5 +118,5 @@ def blend(device: Device, order: Buffer, splats: Splats, camera: Camera, rows: t
         device.run("raster_by_pixel", columns * grid[3], job, *inputs, cover, channels, flat, groups=True, **constants)
     else:
         device.run("raster", columns * grid[3], job, *inputs, piece.depths, cover, channels, flat, groups=True, TRACE=how.trace,
-                   **constants, **how.smooth)
+                   BATCH=batch(piece.quads), **constants, **how.smooth)
     return Band(first, last, channels, flat, lists, piece, own)

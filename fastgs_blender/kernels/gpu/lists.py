@@ -12,6 +12,8 @@ from .shaders import TILE
 
 BLOCK = 2048
 """Numbers that a workgroup scans or sorts."""
+FEW = 8
+"""Blocks of a sort's counts that one workgroup scans sooner than three stages would."""
 DIGIT = 4
 ENTRIES = 1 << 25
 """Entries of tile lists held at once; a picture with more is drawn in bands."""
@@ -19,13 +21,17 @@ TILES = 1 << 18
 """Tiles drawn at once, so that a workgroup's counts stay below 2^32."""
 
 
-def scan(device: Device, values: Buffer, count: int) -> None:
-    """Exclusive prefix sums of `count` integers, in place."""
+def scan(device: Device, values: Buffer, count: int, few: int = 1) -> None:
+    """Exclusive prefix sums of `count` integers, in place; up to `few` blocks are left to one workgroup."""
+    if not count:
+        return
     blocks = -(-count // BLOCK)
-    sums = device.buffer(blocks)
-    device.run("scan_block", blocks, [[count, 0, 0, 0]], values, sums, groups=True)
-    if blocks > 1:
-        scan(device, sums, blocks)
+    each = blocks if blocks <= few else 1
+    groups = blocks // each
+    sums = device.buffer(groups)
+    device.run("scan_block", groups, [[count, each, 0, 0]], values, sums, groups=True)
+    if groups > 1:
+        scan(device, sums, groups)
         device.run("scan_add", count, [[count, 0, 0, 0]], values, sums)
 
 
@@ -37,7 +43,7 @@ def sort(device: Device, keys: Buffer, values: Buffer, count: int, bits: int) ->
     for shift in range(0, bits, DIGIT):
         job = [[count, shift, blocks, 0]]
         device.run("sort_count", blocks, job, keys, counts, groups=True)
-        scan(device, counts, 16 * blocks)
+        scan(device, counts, 16 * blocks, FEW)
         device.run("sort_scatter", blocks, job, counts, keys, values, *others, groups=True)
         (keys, values), others = others, (keys, values)
     return keys, values

@@ -4,7 +4,8 @@
 A line `//include NAME` is replaced by wgsl/NAME.wgsl or the shared ../equations/NAME.wgsl, or, for a device with subgroups, by
 wgsl/NAME_subgroups.wgsl where there is one.  `//threads COUNT` is replaced by wgsl/threads.wgsl, the entry point of a stage that says in
 thread(n) what each of so many threads does.  {NAME} is replaced by a constant, from the caller's or from CONSTANTS, so that each number
-is written in one place only.
+is written in one place only.  Then the lines from `//each c 3` to `//end` are written three times, with 0u, 1u and 2u for c: WebGPU guards
+every loop against running for ever, so short loops over arrays cost several times their work.
 """
 from __future__ import annotations
 
@@ -42,7 +43,17 @@ def source(stage: str, subgroups: bool = False, **constants) -> str:
         return text.read(_file("threads")).replace("COUNT {", f"{found[1]} {{")
 
     own = re.sub(r"(?m)^//threads (.+)$", threads, text.read(_file(stage)))
-    return text.filled(re.sub(r"(?m)^//include (\w+)$", included, own), CONSTANTS | constants)
+    return repeated(text.filled(re.sub(r"(?m)^//include (\w+)$", included, own), CONSTANTS | constants))
+
+
+def repeated(filled: str) -> str:
+    """The text with the lines between //each and //end as often as they ask for, the inner ones first."""
+    def lines(found) -> str:
+        return "".join(re.sub(rf"\b{found[1]}\b", f"{k}u", found[3]) for k in range(int(found[2])))
+
+    while "//each" in filled:
+        filled = re.sub(r"(?m)^ *//each (\w+) (\d+)\n((?:(?! *//each).*\n)*?) *//end\n", lines, filled)
+    return filled
 
 
 def _file(name: str, subgroups: bool = False) -> Path:

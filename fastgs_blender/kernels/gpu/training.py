@@ -29,6 +29,8 @@ from .splats import Splats, front_to_back, project
 WINDOW = np.exp(-np.arange(-5, 6) ** 2 / (2 * 1.5**2))
 """SSIM's Gaussian window, as kernels/cpu/loss.py has it."""
 REACH = len(WINDOW) // 2
+LANES = 64
+"""Threads of a workgroup of raster_backward.wgsl: fewer leave a GPU half empty, more wait for each other longer."""
 PIXELS = 128
 """Pixels of a workgroup of colour_backward.wgsl and agreement.wgsl."""
 
@@ -234,7 +236,7 @@ def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Arr
         x0 = view.camera.window[0]
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
                    band.lists.lists, band.lists.values, band.splats.a, band.splats.b, band.splats.channels, start, rows, groups=True,
-                   QUADS=quads, **view.smooth)
+                   QUADS=quads, LANES=LANES, **view.smooth)
         for pack, its in zip(view.packs, sums, strict=True):
             job = [[band.splats.rows, pack.first, pack.count, 0]]
             device.run("collect", band.splats.rows, job, band.rows, band.lists.runs, rows, its, QUADS=quads)

@@ -18,11 +18,10 @@
 //include decoded
 
 const PIXELS = 128u;
+const STRIDE = 129u; // odd, so that threads which read other numbers of one pixel do not wait for each other
 
-var<workgroup> inputs: array<f32, 1536>; // 12 numbers of each pixel, number by number
-var<workgroup> hidden: array<f32, 768>;
-var<workgroup> by_hidden: array<f32, 768>;
-var<workgroup> by_base: array<f32, 384>;
+var<workgroup> inputs: array<f32, 2322>; // 12 inputs of each pixel, number by number, then 6 hidden units
+var<workgroup> slopes_of: array<f32, 1161>; // of 6 hidden units, then of red, green and blue
 
 @compute @workgroup_size(128)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
@@ -34,9 +33,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
     var share = 0.0;
     if column < view.size.y && pixel < view.size.x {
         share = share_of(pixel);
-        for (var c = 0u; c < 9u; c++) {
-            slopes[9u * pixel + c] = 0.0;
-        }
+        //each c 9
+        slopes[9u * pixel + c] = 0.0;
+        //end
     }
     var found: Decoded;
     var base = vec3f(0.0);
@@ -55,50 +54,53 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         }
         base = given * slope * share;
         var along = 0.0;
-        for (var c = 0u; c < 3u; c++) {
-            let g = base[c] * inverse;
-            along += g * channels[first + c];
-            slopes[9u * pixel + c] = g;
-        }
-        for (var j = 0u; j < 6u; j++) {
-            let g = dot(w2(i32(j)), base);
-            by_hidden[j * PIXELS + lane] = select(0.0, g, found.hidden[j] > 0.0);
-        }
-        for (var i = 0u; i < 6u; i++) {
+        //each c 3
+        along += base[c] * inverse * channels[first + c];
+        slopes[9u * pixel + c] = base[c] * inverse;
+        //end
+        var by_unit = array<f32, 6>();
+        //each j 6
+        by_unit[j] = select(0.0, dot(w2(i32(j)), base), found.hidden[j] > 0.0);
+        slopes_of[j * STRIDE + lane] = by_unit[j];
+        //end
+        //each i 6
+        {
             var g = 0.0;
-            for (var j = 0u; j < 6u; j++) {
-                g += matrices[12u * j + i] * by_hidden[j * PIXELS + lane];
-            }
+            //each j 6
+            g += matrices[12u * j + i] * by_unit[j];
+            //end
             g *= inverse;
             along += g * channels[first + 3u + i];
             slopes[9u * pixel + 3u + i] = g;
         }
+        //end
         if view.corner.w == NORMALISED {
             by_alpha[own] += by_weight - along * inverse;
         }
     } else {
-        for (var j = 0u; j < 6u; j++) {
-            by_hidden[j * PIXELS + lane] = 0.0;
-        }
+        //each j 6
+        slopes_of[j * STRIDE + lane] = 0.0;
+        //end
     }
-    for (var i = 0u; i < 12u; i++) {
-        inputs[i * PIXELS + lane] = found.inputs[i / 4u][i % 4u];
-    }
-    for (var j = 0u; j < 6u; j++) {
-        hidden[j * PIXELS + lane] = found.hidden[j];
-    }
-    for (var c = 0u; c < 3u; c++) {
-        by_base[c * PIXELS + lane] = base[c];
-    }
+    //each i 12
+    inputs[i * STRIDE + lane] = found.inputs[i / 4u][i % 4u];
+    //end
+    //each j 6
+    inputs[(12u + j) * STRIDE + lane] = found.hidden[j];
+    //end
+    //each c 3
+    slopes_of[(6u + c) * STRIDE + lane] = base[c];
+    //end
     workgroupBarrier();
     if lane < 90u && block / blocks * view.size.y < view.size.x {
+        let second = lane >= 72u; // w2's numbers
+        let slope = select(lane / 12u, 6u + (lane - 72u) / 6u, second) * STRIDE;
+        let input = select(lane % 12u, 12u + (lane - 72u) % 6u, second) * STRIDE;
         var total = 0.0;
-        for (var i = 0u; i < PIXELS; i++) {
-            if lane < 72u {
-                total += by_hidden[lane / 12u * PIXELS + i] * inputs[lane % 12u * PIXELS + i];
-            } else {
-                total += by_base[(lane - 72u) / 6u * PIXELS + i] * hidden[(lane - 72u) % 6u * PIXELS + i];
-            }
+        for (var i = 0u; i < PIXELS; i += 8u) {
+            //each k 8
+            total += slopes_of[slope + i + k] * inputs[input + i + k];
+            //end
         }
         sums[(view.size.w / view.size.y * blocks + block) * 90u + lane] = total;
     }

@@ -29,10 +29,10 @@ fn decoded(pixel: u32, first: u32, inverse: f32) -> Decoded {
     let time = vec3f(channels[first + 6u], channels[first + 7u], channels[first + 8u]) * inverse;
     out.inputs = array<vec4f, 3>(vec4f(direction, time.x), vec4f(time.yz, view.ray_x.w, view.ray_y.w), vec4f(view.ray_z.w, ray));
     out.base = vec3f(channels[first], channels[first + 1u], channels[first + 2u]) * inverse;
-    for (var h = 0; h < 6; h++) {
-        out.hidden[h] = hidden_unit(h, out.inputs[0], out.inputs[1], out.inputs[2]);
-        out.base += w2(h) * out.hidden[h];
-    }
+    //each h 6
+    out.hidden[h] = hidden_unit(i32(h), out.inputs[0], out.inputs[1], out.inputs[2]);
+    out.base += w2(i32(h)) * out.hidden[h];
+    //end
     return out;
 }
 

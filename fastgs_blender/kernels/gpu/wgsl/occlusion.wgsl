@@ -7,6 +7,7 @@ const FARTHEST = {FARTHEST};
 
 var<private> taken = 0u;    // points that have lost their light
 var<private> stopped = 0.0; // light that triangles have stopped
+var<private> caught = 0.0;  // light that splats have: exactly none where there are none, which 1 - t - stopped is not where a GPU divides roughly
 
 // Depth behind which triangles hide the whole pixel.
 fn farthest_cover(pixel: u32, inside: bool) -> f32 {

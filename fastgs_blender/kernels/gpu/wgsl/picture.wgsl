@@ -14,10 +14,10 @@ const HELD = {HELD}u; // the first place of two, with a holdout: the light that 
 
 // Write a pixel: `picture`, and `flat` from its number `own` on; t: the transmittance behind all splats and triangles.
 fn deliver(pixel: u32, own: u32, t: f32, sum: array<vec4f, {QUADS}>, median: f32, nearest: f32, count: f32) {
-    for (var c = 0u; c < {QUADS}u; c++) {
-        picture[pixel * {QUADS}u + c] = sum[c];
-    }
-    flat[own] = 1.0 - t - stopped;
+    //each c {QUADS}
+    picture[pixel * {QUADS}u + c] = sum[c];
+    //end
+    flat[own] = select(1.0 - t, caught, HOLDOUT);
     if MEDIAN > 0u {
         flat[own + MEDIAN] = median;
     }

@@ -25,48 +25,52 @@ struct Job {
 //include fade
 
 const WIDTH = {QUADS}u + 2u;
+const LANES = {LANES}u;
 
 var<workgroup> state: array<vec4f, 256>; // transmittance behind, light from behind, place of the last splat, d loss / d alpha
 var<workgroup> farthest: atomic<i32>;
 var<workgroup> shared_end: u32;
 
 fn index_of(pixel: vec2i) -> u32 {
-    return u32((pixel.y - job.window.y) * (job.window.z - job.window.x) + pixel.x - job.window.x) * ({QUADS}u + 1u);
+    return u32((pixel.y - job.window.y) * (job.window.z - job.window.x) + pixel.x - job.window.x);
 }
 
-@compute @workgroup_size(256)
+@compute @workgroup_size({LANES})
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let tile = place(group, groups);
     if tile >= u32(job.tiles.z * job.tiles.w) {
         return;
     }
     let corner = {TILE} * (job.tiles.xy + vec2i(i32(tile) % job.tiles.z, i32(tile) / job.tiles.z));
-    let own = corner + vec2i(i32(lane % {TILE}u), i32(lane / {TILE}u));
     let ahead = u32(job.tiles.z * job.tiles.w) + 1u; // numbers before the lists
+    let area = u32((job.window.z - job.window.x) * (job.window.w - job.window.y));
     let begin = lists[tile];
     let end = lists[tile + 1u];
     if lane == 0u {
         atomicStore(&farthest, -1);
     }
     workgroupBarrier();
-    state[lane] = vec4f(1.0, 0.0, -1.0, 0.0);
-    if all(own >= job.window.xy) && all(own < job.window.zw) {
-        let pixel = pixels[index_of(own)];
-        state[lane] = vec4f(pixel.x, 0.0, pixel.y, pixel.z);
-        atomicMax(&farthest, i32(pixel.y));
+    for (var p = lane; p < 256u; p += LANES) {
+        let own = corner + vec2i(i32(p % {TILE}u), i32(p / {TILE}u));
+        state[p] = vec4f(1.0, 0.0, -1.0, 0.0);
+        if all(own >= job.window.xy) && all(own < job.window.zw) {
+            let pixel = pixels[index_of(own)];
+            state[p] = vec4f(pixel.x, 0.0, pixel.y, pixel.z);
+            atomicMax(&farthest, i32(pixel.y));
+        }
     }
     workgroupBarrier();
     if lane == 0u {
         shared_end = begin + u32(atomicLoad(&farthest) + 1);
     }
     let used = workgroupUniformLoad(&shared_end);
-    for (var e = used + lane; e < end; e += 256u) { // what lies behind all that the tile shows
+    for (var e = used + lane; e < end; e += LANES) { // what lies behind all that the tile shows
         for (var i = 0u; i < WIDTH; i++) {
             rows[values[e - ahead] * WIDTH + i] = vec4f(0.0);
         }
     }
-    for (var last = used; last > begin; last -= min(256u, last - begin)) {
-        let count = min(256u, last - begin);
+    for (var last = used; last > begin; last -= min(LANES, last - begin)) {
+        let count = min(LANES, last - begin);
         let e = last - 1u - min(lane, count - 1u);
         let row = lists[e];
         let a = splat_a[row];
@@ -75,9 +79,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         let number = f32(e - begin);
         var colour = array<vec4f, {QUADS}>();
         var sums = array<vec4f, {QUADS}>();
-        for (var c = 0u; c < {QUADS}u; c++) {
-            colour[c] = channels[row * {QUADS}u + c];
-        }
+        //each c {QUADS}
+        colour[c] = channels[row * {QUADS}u + c];
+        //end
         var first = vec4f(0.0);  // sums of e, e u, e u dx, e u dy
         var second = vec4f(0.0); // of e dy, e dy^2, |e u|, |e u du/dy + e v dv/dy|
         for (var step = 0u; step < 255u + count; step++) {
@@ -100,11 +104,13 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                     let weight = alpha * left;
                     let at = index_of(corner + vec2i(i32(p % {TILE}u), i32(p / {TILE}u)));
                     var dot_ = pixel.w;
-                    for (var c = 0u; c < {QUADS}u; c++) {
-                        let slope = pixels[at + 1u + c];
+                    //each c {QUADS}
+                    {
+                        let slope = pixels[(1u + c) * area + at];
                         dot_ += dot(slope, colour[c]);
                         sums[c] += weight * slope;
                     }
+                    //end
                     let more = dot_ - pixel.y;
                     state[p] = vec4f(left, pixel.y + alpha * more, pixel.zw);
                     if free < b.z {
@@ -122,9 +128,9 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             let at = values[e - ahead] * WIDTH;
             rows[at] = first;
             rows[at + 1u] = second;
-            for (var c = 0u; c < {QUADS}u; c++) {
-                rows[at + 2u + c] = sums[c];
-            }
+            //each c {QUADS}
+            rows[at + 2u + c] = sums[c];
+            //end
         }
     }
 }

@@ -114,9 +114,10 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
                 break;
             }
             let row = lists[entry[k]];
-            for (var c = 0u; c < {QUADS}u; c++) {
-                sum[c] += weights(c, t, weight) * channels[row * {QUADS}u + c];
-            }
+            caught += select(0.0, weight, HOLDOUT);
+            //each c {QUADS}
+            sum[c] += weights(c, t, weight) * channels[row * {QUADS}u + c];
+            //end
             if MEDIAN > 0u && t > {MEDIAN_FROM} {
                 median = z;
             }

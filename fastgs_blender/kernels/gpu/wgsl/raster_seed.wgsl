@@ -1,5 +1,5 @@
 // Write the start values of the backward pass for each pixel: (transmittance, place of the last splat, d loss / d alpha, _), then
-// d loss / d channels.
+// d loss / d channels, four of them of all pixels after the other: neighbours are read together.
 
 //threads job.size.x
 
@@ -17,8 +17,7 @@ struct Job {
 
 fn thread(pixel: u32) {
     let own = job.size.y + pixel;
-    let first = pixel * ({QUADS}u + 1u);
-    pixels[first] = vec4f(flat[3u * pixel + 1u], flat[3u * pixel + 2u], by_alpha[own], 0.0);
+    pixels[pixel] = vec4f(flat[3u * pixel + 1u], flat[3u * pixel + 2u], by_alpha[own], 0.0);
     for (var quad = 0u; quad < {QUADS}u; quad++) {
         var value = vec4f(0.0);
         for (var i = 0u; i < 4u; i++) {
@@ -30,6 +29,6 @@ fn thread(pixel: u32) {
                 value[i] += by_depth[own];
             }
         }
-        pixels[first + 1u + quad] = value;
+        pixels[(1u + quad) * job.size.x + pixel] = value;
     }
 }
