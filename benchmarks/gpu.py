@@ -149,20 +149,25 @@ def main(given: list[str] | None = None):
     name = f"gpu:{adapter.name}"
     sizes = [tuple(int(value) for value in text.split("x")) for text in args.sizes]
     step = args.step_gaussians, *(int(value) for value in args.step_size.split("x"))
-    results: dict = {"machine": {"adapter": adapter.name, "kind": adapter.kind, "interface": adapter.interface, "driver": adapter.driver,
-                                 "processor threads": threads.thread_count()}}
-    for (width, height), n in product(sizes, args.gaussians):
-        title = f"{n} Gaussians, {width} x {height}"
-        results[f"stages, {title}"] = stages(name, n, width, height, args.runs)
-        results[f"4D frames, {title}"] = frames(name, n, width, height, args.runs)
-    results["training step"] = training(name, *step, args.runs)
-    results["gsplat"] = gsplat(*step, args.runs) or {"gsplat": "not installed, or torch has no CUDA"}
-    if failed := load_backend(name).failed:
-        sys.exit(f"{adapter.name} has failed, so these are no figures: {failed}.")
-    for title, figures in results.items():
+    results: dict = {}
+
+    def found(title: str, figures: dict) -> None:
+        """Print figures as soon as they are there: a later part may fail."""
+        results[title] = figures
         print(title)
         for label, value in figures.items():
-            print(f"    {label:40}{value:14.3f}" if isinstance(value, float) else f"    {label:40}{value:>14}")
+            print(f"    {label:40}{value:14.3f}" if isinstance(value, float) else f"    {label:40}{value:>14}", flush=True)
+
+    found("machine", {"adapter": adapter.name, "kind": adapter.kind, "interface": adapter.interface, "driver": adapter.driver,
+                      "processor threads": threads.thread_count()})
+    for (width, height), n in product(sizes, args.gaussians):
+        title = f"{n} Gaussians, {width} x {height}"
+        found(f"stages, {title}", stages(name, n, width, height, args.runs))
+        found(f"4D frames, {title}", frames(name, n, width, height, args.runs))
+    found("training step", training(name, *step, args.runs))
+    found("gsplat", gsplat(*step, args.runs) or {"gsplat": "not installed, or torch has no CUDA"})
+    if failed := load_backend(name).failed:
+        sys.exit(f"{adapter.name} has failed, so these are no figures: {failed}.")
     if args.json:
         Path(args.json).write_text(json.dumps(results, indent=1) + "\n")
 

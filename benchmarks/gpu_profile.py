@@ -5,7 +5,7 @@
 
 For a 4D frame that stays on the GPU and for a training step, as gpu.py has them:
 
-* each stage       how often it is dispatched, and its milliseconds by the GPU's clock (WebGPU's timestamp queries), the most expensive first
+* each stage       how often it is dispatched, and its milliseconds by the GPU's clock (timestamp queries), the most expensive first
 * bytes bound      of all buffers that the dispatches are given; what they read and write is at most that
 * GPU busy         the sum of the stages; every dispatch waits for those before it, so that there is a barrier for each
 * recording        milliseconds in which Python hands over that work; the GPU runs behind it
@@ -60,7 +60,8 @@ class Profiled(Device):
 
     def _dispatch(self, pipeline, parameters, buffers, size):
         if not self.measuring:
-            return super()._dispatch(pipeline, parameters, buffers, size)
+            super()._dispatch(pipeline, parameters, buffers, size)
+            return
         if 2 * len(self.names) + 2 > MOST:
             self.collect()
         self.bytes += sum((each.buffer if isinstance(each, Array) else each).size for each in buffers)
