@@ -4,6 +4,7 @@
 Nothing is imported before register(), so that pytest and other tools may import this folder without Blender.
 """
 import atexit
+import sys
 
 
 def _packages():
@@ -13,11 +14,15 @@ def _packages():
 
 
 def _leave():
-    # The bpy wheel closes Blender down when nothing refers to bpy any more.  Registered classes and handlers do: without this,
-    # 4.2 crashes and 4.5 hangs when a script ends.
+    # The bpy wheel closes Blender down when nothing refers to bpy any more.  Registered classes and handlers do: without this, 4.5 hangs
+    # when a script ends.  4.2 never lets go of functions that properties call, nor of what their modules hold, and crashes.
     import addon_utils
 
-    addon_utils.disable(__name__)
+    if globals().get("__addon_enabled__"):
+        addon_utils.disable(__name__)
+    for name, module in tuple(sys.modules.items()):
+        if name.startswith(__name__):
+            vars(module).pop("bpy", None)
 
 
 def register():
@@ -29,6 +34,5 @@ def register():
 
 def unregister():
     """Called by Blender when the extension is disabled."""
-    atexit.unregister(_leave)
     for package in reversed(_packages()):
         package.unregister()

@@ -29,7 +29,6 @@ def enable_addon():
 
     if addon_utils.enable(ADDON, default_set=True) is None:
         raise SystemExit("The extension could not be enabled; the reason stands above.")
-    atexit.register(addon_utils.disable, ADDON, default_set=True)  # while Blender is still whole
     return lambda name: import_module(f"{ADDON}.{name}")
 
 

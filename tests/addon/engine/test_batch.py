@@ -24,11 +24,14 @@ scene.render.filepath = sys.argv[2]
 bpy.ops.render.render(animation=True)
 """
 MEMORY = """
+import atexit
+
 def tell(*_):
     with open("/proc/self/statm") as file:
         print("resident", scene.frame_current, file.read().split()[1], flush=True)
 
 bpy.app.handlers.render_write.append(tell)
+atexit.register(bpy.app.handlers.render_write.remove, tell)  # Blender 4.2 as a module crashes at its end where handlers are left
 scene.frame_end = 60
 """
 
