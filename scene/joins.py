@@ -132,8 +132,11 @@ def _new_tree(scene):
         tree.interface.new_socket(name="Image", in_out='OUTPUT', socket_type='NodeSocketColor')
         output = tree.nodes.new('NodeGroupOutput')
     else:
-        scene.use_nodes = True  # which makes a Render Layers and a Composite node where there are none
+        new = scene.node_tree is None
+        scene.use_nodes = True
         tree = scene.node_tree
+        if new:
+            tree.nodes.clear()  # 4.5 begins with four nodes, 4.2 with two
         output = next((node for node in tree.nodes if node.bl_idname == 'CompositorNodeComposite'), None)
         output = output or tree.nodes.new('CompositorNodeComposite')
     tree[MADE] = True

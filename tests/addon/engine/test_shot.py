@@ -18,6 +18,7 @@ from conftest import ADDON, ROOT
 from held_runs import GUARD
 
 LAYERS, EYES, FRAMES = ("All", "No Left", "Held"), ("L", "R"), (1, 2)
+JOINED = "Joined" if bpy.app.version >= (5, 0, 0) else "Join"
 WORKER = f"""
 import sys, bpy, addon_utils
 assert addon_utils.enable({ADDON!r})
@@ -82,7 +83,7 @@ def rendered(scene, folder, kind) -> dict:
 def joined(path) -> dict:
     """{(layer, frame, eye): the joined picture} of the files of all passes that begin with a path."""
     files = {(frame, eye): image_files.read_exr(f"{path}passes_{frame:04d}_{eye}.exr") for frame in FRAMES for eye in EYES}
-    return {(layer, *key): planes[f"{layer} Joined.Combined"] for key, planes in files.items() for layer in LAYERS}
+    return {(layer, *key): planes[f"{layer} {JOINED}.Combined"] for key, planes in files.items() for layer in LAYERS}
 
 
 def interior(mask) -> np.ndarray:

@@ -352,12 +352,13 @@ def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp
     assert (tmp_path / "shot.png").is_file()
     path = tmp_path / "shot_passes_0001.exr"
     planes, (y, x) = image_files.read_exr(path), (24, column(-1.5, -1))
+    made, light = ("ViewLayer Meshes", "Emission") if bpy.app.version >= (5, 0, 0) else ("ViewLayer Mesh", "Emit")
     for name, value in (("Composite.Combined", (0, 1, 0, 1)), ("ViewLayer.Combined", (0, 0, 0, 0)), ("ViewLayer.Splat Holdout", 1),
-                        ("ViewLayer Meshes.Depth", 4), ("ViewLayer Meshes.Normal", (0, -1, 0))):
+                        (f"{made}.Depth", 4), (f"{made}.Normal", (0, -1, 0))):
         np.testing.assert_allclose(planes[name][y, x], value, atol=1e-3, err_msg=name)
-    np.testing.assert_allclose(planes["ViewLayer Meshes.Emission"][y, x, :3], (0, 1, 0), atol=1e-3)
+    np.testing.assert_allclose(planes[f"{made}.{light}"][y, x, :3], (0, 1, 0), atol=1e-3)
     assert planes["ViewLayer.Depth"][y, 60, 0] == pytest.approx(5, abs=0.1) and 0 < planes["ViewLayer.Mist"][y, 60, 0] < 1
-    assert planes["ViewLayer Meshes.CryptoObject00"][y, x, 1] == 1
+    assert planes[f"{made}.CryptoObject00"][y, x, 1] == 1
     with OpenEXR.File(str(path), separate_channels=True) as file:
         manifests = {name: value for part in file.parts for name, value in part.header.items() if name.endswith("/manifest")}
     assert any("Wall" in text for text in manifests.values()) and any(screen.name in text for text in manifests.values())

@@ -43,9 +43,9 @@ def settings_of(group, depth=2):
     """All plain values of Blender's settings, groups within included."""
     values = {}
     for name in group.bl_rna.properties.keys():  # noqa: SIM118 (it is no dictionary)
-        value = getattr(group, name)
-        if name == "use_nodes":
+        if name in ("use_nodes", "uv_sculpt"):  # Blender 4.2 crashes when the latter is read
             continue
+        value = getattr(group, name)
         if isinstance(value, (str, int, float, bool)):
             values[name] = value
         elif depth and isinstance(value, bpy.types.bpy_struct) and not isinstance(value, bpy.types.ID) and name != "rna_type":
