@@ -345,6 +345,17 @@ def test_a_damaged_page_ends_in_a_sentence(opened, page, change):
     assert visible(tab, "poster") and not visible(tab, "bar")
 
 
+@IN_BOTH
+@pytest.mark.parametrize("last", ["</style>", 'content="default-src', "<title>A knot", "--ink:", "<body><p id", "player has not", 'id="poster" alt="'])
+def test_a_page_that_ends_before_its_player_says_so(browser, page, last):
+    page("damaged.html", change=lambda text: text[:text.index(last) + len(last)])
+    tab = browser.open("damaged.html", SIZE)
+    tab.evaluate("document.getAnimations().forEach((each) => each.finish())")
+    said = tab.evaluate("document.body.innerText + getComputedStyle(document.body, '::before').content")
+    assert "incomplete" in said or "player has not" in said
+    tab.close()
+
+
 @pytest.mark.parametrize("change", [cut('<script type="module" async>'), other('<script type="module" async>', "broken(")])
 def test_a_page_whose_player_is_damaged_says_so_without_it(browser, page, change):
     page("damaged.html", change=change)

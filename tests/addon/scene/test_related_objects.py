@@ -139,6 +139,8 @@ def test_modifiers_that_operators_add_are_told(splats, where, told, name):
     operator, modifier = TOLD[name]
     if modifier == "Fluid" and bpy.app.version < (5, 1, 0):
         pytest.skip("this Blender's operator takes the last modifier for its own, which it is not, and stops")
+    if modifier == "Smooth by Angle" and bpy.app.version < (5, 0, 0):
+        pytest.skip("this Blender loads the operator's asset only where it has windows")
     as_a_mesh(splats, where, operator)
     assert any(f'"{modifier}"' in text and "Modifiers Change" in text for text in told)
     assert {modifier, "FAST-GS Proxy"} <= set(splats.modifiers.keys()) and len(splats.data.vertices) == 204
