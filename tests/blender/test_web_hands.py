@@ -346,7 +346,8 @@ def test_a_damaged_page_ends_in_a_sentence(opened, page, change):
 
 
 @IN_BOTH
-@pytest.mark.parametrize("last", ["</style>", 'content="default-src', "<title>A knot", "--ink:", "<body><p id", "player has not", 'id="poster" alt="'])
+@pytest.mark.parametrize("last", [
+    "</style>", 'content="default-src', "<title>A knot", "--ink:", "<body><p id", "player has not", 'id="poster" alt="'])
 def test_a_page_that_ends_before_its_player_says_so(browser, page, last):
     page("damaged.html", change=lambda text: text[:text.index(last) + len(last)])
     tab = browser.open("damaged.html", SIZE)

@@ -62,7 +62,7 @@ VERSION = 1
 PLAYER = Path(__file__).parent / "player"
 POLICY = ("default-src 'none'; script-src 'sha256-{script}'; style-src 'sha256-{style}'; img-src data:; media-src blob: data:; "
           "worker-src blob:; base-uri 'none'; form-action 'none'")
-"""What the page may load: its own script and style, and what lies in it."""
+"""What the page may load: its own script and style, and what lies in it.  A rule for pages that end in their head comes before it."""
 
 
 @dataclass(frozen=True, eq=False)

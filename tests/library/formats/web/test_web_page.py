@@ -69,7 +69,7 @@ def test_a_saved_page_holds_the_model_and_its_opening_view(model, tmp_path):
 def test_the_policy_lets_in_the_pages_own_script_and_style_alone(model, tmp_path):
     fg.save(model, tmp_path / "x.html")
     text = (tmp_path / "x.html").read_text("utf-8")
-    policy = re.search(r'http-equiv="Content-Security-Policy" content="([^"]+)"', text)[1]
+    policy, text = re.search(r'(?s)http-equiv="Content-Security-Policy" content="([^"]+)"(.*)', text).groups()
     rules = dict(rule.strip().split(" ", 1) for rule in policy.split(";"))
     for name, block in (("script-src", r'<script type="module"[^>]*>(.*?)</script>'), ("style-src", r"<style>(.*?)</style>")):
         part = re.search(block, text, re.DOTALL)[1]
