@@ -346,6 +346,13 @@ def test_a_damaged_page_ends_in_a_sentence(opened, page, change):
 
 
 @IN_BOTH
+def test_a_page_without_its_style_says_so(opened, page):
+    page("damaged.html", change=other("--ink:", "~"))
+    tab = opened("damaged.html")
+    assert state(tab) == "failed" and sentence(tab).startswith("This page is damaged: its style")
+
+
+@IN_BOTH
 @pytest.mark.parametrize("last", [
     "</style>", 'content="default-src', "<title>A knot", "--ink:", "<body><p id", "player has not", 'id="poster" alt="'])
 def test_a_page_that_ends_before_its_player_says_so(browser, page, last):

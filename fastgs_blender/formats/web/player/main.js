@@ -158,6 +158,7 @@ function hide() {
 async function begin() {
   state("loading");
   loaded(0);
+  if (getComputedStyle(document.body).overflow !== "hidden") throw damaged("its style is not as it was exported"); // the policy refuses it
   const description = await described(), orbit = (fastgs.orbit = opened(description)), pressed = embedded && !address.play;
   document.body.style.setProperty("--background", `color(srgb-linear ${description.background.join(" ")})`);
   window.addEventListener("resize", measure);
