@@ -10,6 +10,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.edits import mixed
+from ..model.slicing import slice_model, still
 from ..util.errors import FastGSError
 from . import colour
 from .crops import crops_between
@@ -202,6 +203,9 @@ class Exposure:
             return replace_time(instance, a.t + share * (b.t - a.t), placement)
         between = mixed(a.model, a.t, b.model, b.t, share)
         model = between if instance.rows is None else between.take(instance.rows)
+        if instance.painted:
+            now = still(instance.model, slice_model(instance.model, instance.t, cull=False))
+            model = replace(model, features=now.features, appearance=now.appearance)
         return replace(replace_time(instance, 0.0, placement), model=model, origin=instance.source)
 
     def _between(self, time: float) -> tuple[Moment, Moment, float]:

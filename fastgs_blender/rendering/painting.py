@@ -40,7 +40,7 @@ def painted(instance: Instance, viewed: ViewedInstance, index: np.ndarray, gain:
     features[:, :3] += (_times(colour, gain, model.colour_space) - before) / unit
     every = np.zeros((len(model), features.shape[1]), np.float32)
     every[index] = features
-    return replace(instance, model=replace(model, features=every, appearance=look), origin=instance.source)
+    return replace(instance, model=replace(model, features=every, appearance=look), origin=instance.source, painted=True)
 
 
 def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:

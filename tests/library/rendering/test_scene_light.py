@@ -5,8 +5,10 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.model.appearance import SH_C0
+from fastgs_blender.model.edits import Edit
 from fastgs_blender.rendering.colour import srgb_to_linear
-from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.exposure import Exposure
+from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
 from fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.relight import SceneLight
@@ -131,6 +133,22 @@ def test_what_takes_no_light_keeps_every_byte():
     light = SceneLight(((Lamp(Light.sun((0, 0, -1)), (2.0, 2.0, 2.0)), None),))
     plain = fg.render(wall(), CAMERA)["rgb"]
     assert np.array_equal(plain, fg.render([Instance(wall(), np.eye(4), 0.0)], CAMERA, settings=PassSettings(light=light))["rgb"])
+
+
+def test_the_light_stays_on_what_an_edit_moves_through_the_shutter():
+    """An edited model has another model at every moment; each of them is lit."""
+    still = wall(3.0, 0.4)
+
+    def picture(look):
+        def at(x):
+            moved = Edit(0.0, position=still.position + np.float32([x, 0, 0])).applied(still)
+            return Instance(moved, np.eye(4), 0.0, look, place="one", origin=still)
+
+        shutter = Exposure(moments=tuple(Moment({"one": at(x)}, CAMERA) for x in (-0.2, 0.0, 0.2)), steps=8)
+        return lit(at(0.0), [], look, exposure=shutter)
+
+    free, dimmed = picture(ObjectSettings()), picture(ObjectSettings(captured_light=0.25))
+    assert free[32, 32, 0] > 0.2 and np.allclose(dimmed[32, 20:44], 0.25 * free[32, 20:44], rtol=0.01, atol=1e-3)
 
 
 def test_same_bytes_on_any_number_of_threads():
