@@ -43,7 +43,9 @@ def _render_layer(engine, depsgraph):
     settings_now = passes.settings(scene)
     if _has(wanted, "shadow"):
         settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
-    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph, passes=any(entry.light for entry in wanted)))
+    of_lamps, status = any(entry.light for entry in wanted), Status(engine, f"{scene.name}, {layer.name}")
+    around = _panorama(engine, scene, lamps.world_of(depsgraph, of_lamps), status)
+    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph, passes=of_lamps, around=around))
     surfaces = lamps.surfaces(depsgraph) if settings_now.light or any(entry.name in ("normal", "unlit") for entry in wanted) else {}
     shutter = exposure.times(scene)
     middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
@@ -51,7 +53,6 @@ def _render_layer(engine, depsgraph):
     taken = _moments(engine, depsgraph, area, views, vectors + shutter)
     for text in unshown.all_of(scene, layer):
         notices.warn(engine, text)
-    status = Status(engine, f"{scene.name}, {layer.name}")
     background = _background(engine, scene, layer, status)
     status("Reading")
     instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)
@@ -102,19 +103,23 @@ def _backend(engine, device: str, status) -> str:
 def _background(engine, scene, layer, status):
     """A function of the camera that gives what lies behind the splats, for colour.film()."""
     plain, more = (None, None) if holdout.with_meshes(scene) else world.background(scene, layer)
-    if more is None:
-        return lambda eye: plain
+    found = _panorama(engine, scene, more, status)
+    return found.behind if found else lambda eye: plain
+
+
+def _panorama(engine, scene, shown, status) -> sky.Panorama | None:
+    """The panorama of a world on the current frame; None without a world, or where it cannot be rendered, which is told."""
+    if shown is None:
+        return None
     status("Rendering the world")
-    request = sky.WorldRequest(more, (scene.frame_current, scene.frame_subframe))
-    found = sky.sky.get(request)
-    while found is None:
+    request = sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe))
+    while (found := sky.sky.get(request)) is None:
         sky.sky.ask(request)
         worker.run(lambda progress: sky.sky.wait(sky.PATIENCE), engine.test_break, status.progress)
-        found = sky.sky.get(request)
     if isinstance(found, str):
         notices.warn(engine, found)
-        return lambda eye: plain
-    return found.behind
+        return None
+    return found
 
 
 @dataclass(frozen=True, eq=False)

@@ -12,7 +12,7 @@ from ..fastgs_blender.cameras.panorama import Panorama
 from ..fastgs_blender.rendering.colour import lifted, straight
 from ..fastgs_blender.rendering.crops import Crop
 from ..fastgs_blender.rendering.instances import Moment
-from ..scene import colour, devices, exposure, lamps, light_probe, mesh_scene, notices, snapshot
+from ..scene import colour, devices, exposure, lamps, light_probe, mesh_scene, notices, sky, snapshot
 from . import passes, scene_linear
 
 CYCLES = np.array([[0.0, -1, 0], [0, 0, -1], [1, 0, 0]])
@@ -74,12 +74,15 @@ def panorama_of(probe, depsgraph) -> np.ndarray:
     moments = [Moment({each.place: each for each in _around(replace(taken, frame=taken.frame + stretch * later), centre, size)}, camera)
                for later in exposure.times(scene)]
     blur = exposure.exposure(scene, moments, None)
-    device = devices.wanted(scene)
+    device, lit_by, around = devices.wanted(scene), lamps.world_of(depsgraph), None
+    if lit_by is not None:
+        around = sky.sky.made(sky.WorldRequest(lit_by, (depsgraph.scene.frame_current, depsgraph.scene.frame_subframe)))
+    light = lamps.scene_light(depsgraph, around=around)
     found = scene_linear.render(
-        instances, camera, colour.rec709_to_working(), settings=replace(passes.settings(scene), light=lamps.scene_light(depsgraph)),
+        instances, camera, colour.rec709_to_working(), settings=replace(passes.settings(scene), light=light),
         exposure=blur and replace(blur, steps=min(blur.steps, STEPS)), backend="auto" if device == "cpu" else devices.backend(device)[0])
-    light = settings.strength * lifted(straight(found["rgb"], found["alpha"]), settings.highlights) * found["alpha"][..., None]
-    return np.concatenate([light, found["alpha"][..., None]], -1).astype(np.float32)
+    shining = settings.strength * lifted(straight(found["rgb"], found["alpha"]), settings.highlights) * found["alpha"][..., None]
+    return np.concatenate([shining, found["alpha"][..., None]], -1).astype(np.float32)
 
 
 def _around(taken: snapshot.Snapshot, centre: np.ndarray, size: float) -> list:

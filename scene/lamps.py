@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 
-from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
+from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama
 from ..fastgs_blender.rendering.passes import LAMPS
 from ..fastgs_blender.rendering.relight import SceneLight
-from . import colour, holdout, objects, shadows, world
+from . import colour, holdout, objects, shadows, sky, world
+
+AROUND = 512
+"""Pixels around of the panorama from which a world's light is taken."""
 
 
 def names_of(scene) -> list[str]:
@@ -34,13 +37,20 @@ def surfaces(depsgraph) -> dict[str, np.ndarray]:
     return {name: np.concatenate(parts) for name, parts in found.items()}
 
 
-def scene_light(depsgraph, size: int = 1024, passes: bool = False) -> SceneLight | None:
+def world_of(depsgraph, passes: bool = False):
+    """The world that lights splats and is more than one colour, so that scene_light() wants its panorama; None where there is none."""
+    scene = depsgraph.scene.fastgs.splats_scene or depsgraph.scene
+    return world.surface(scene, depsgraph.view_layer)[1] if passes or any(takes_light(obj) for obj in _splats(depsgraph)) else None
+
+
+def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.Panorama | None = None) -> SceneLight | None:
     """What lights the splats of a scene as the depsgraph has evaluated it; None where no object takes light.
 
     size    pixels of the longer side of the shadows' pictures
     passes  whether passes want to know it, whatever the objects take
+    around  the panorama of world_of(); without it such a world has its plain colour
     """
-    splats = [obj for obj in depsgraph.objects if objects.is_splat(obj)]
+    splats = _splats(depsgraph)
     if not passes and not any(takes_light(obj) for obj in splats):
         return None
     scene, names = depsgraph.scene.fastgs.splats_scene or depsgraph.scene, [obj.name for obj in splats]
@@ -53,14 +63,22 @@ def scene_light(depsgraph, size: int = 1024, passes: bool = False) -> SceneLight
             if lamp is not None:
                 found.append((lamp, _lit_by(obj.original, names)))
                 levels.append(numbers.index(obj.name_full) if obj.name_full in numbers else LAMPS)
+    directions = max(scene.fastgs.shadow_samples, 16)
     radiance, _ = world.surface(scene, depsgraph.view_layer)
-    if any(radiance):
-        found.append((dome(from_working @ radiance, max(scene.fastgs.shadow_samples, 16)), None))
+    shining = dome(from_working @ radiance, directions) if any(radiance) else None
+    if around is not None:
+        shining = panorama(around.reduced(AROUND) @ from_working.T, directions)
+    if shining is not None:
+        found.append((shining, None))
         levels.append(len(numbers))
     meshes = holdout.triangles(depsgraph, _casts_shadows, "visible_shadow")
     settings = scene.fastgs
     return SceneLight(tuple(found), meshes, settings.shadow_bias, size, tuple(min(level, LAMPS - 1) for level in levels),
                       settings.contact_distance)
+
+
+def _splats(depsgraph) -> list:
+    return [obj for obj in depsgraph.objects if objects.is_splat(obj)]
 
 
 def _casts_shadows(obj, maker) -> bool:

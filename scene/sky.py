@@ -149,6 +149,13 @@ class Sky:
         if self._thread is not None:
             self._thread.join(seconds)
 
+    def made(self, request: WorldRequest) -> Panorama | None:
+        """The panorama, which is made and waited for; None where that fails."""
+        while (found := self.get(request)) is None:
+            self.ask(request)
+            self.wait(PATIENCE)
+        return found if isinstance(found, Panorama) else None
+
     def latest(self) -> Panorama | None:
         """The panorama that was made last; viewports show it until a newer one is ready."""
         with self._lock:

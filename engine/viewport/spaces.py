@@ -96,7 +96,9 @@ class Viewports:
         """The pass that a viewport shows in Rendered shading, or the picture where lamps light splats; None: shaders draw."""
         chosen = passes.in_viewport(space.shading, depsgraph.scene)
         of_lamps = chosen in PASSES and PASSES[chosen].light
-        light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE, of_lamps), space, depsgraph, of_lamps)
+        lit_by = self._once("lit by", lambda: lamps.world_of(depsgraph, of_lamps), space, depsgraph, of_lamps)
+        around = self._panorama(depsgraph.scene, lit_by) if lit_by else None
+        light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE, of_lamps, around), space, depsgraph, of_lamps, around)
         if chosen is None and light is not None:
             chosen = fallback.PICTURE
 
@@ -108,9 +110,9 @@ class Viewports:
                 except fg.FastGSError as error:
                     _say_once(str(error))
             surfaces = lamps.surfaces(depsgraph) if light or chosen in ("normal", "unlit") else {}
-            return DataPass(chosen, settings, self._holdout(space, depsgraph), (self.changes,), surfaces)
+            return DataPass(chosen, settings, self._holdout(space, depsgraph), (self.changes, around), surfaces)
 
-        return None if chosen is None else self._once("pass", make, space, depsgraph, chosen)
+        return None if chosen is None else self._once("pass", make, space, depsgraph, chosen, around)
 
     def _background(self, scene, view_layer):
         """A colour or a Panorama, None for transparent film; until a world has been rendered its plain colour, or what was there before."""
@@ -118,13 +120,17 @@ class Viewports:
         if more is None:
             self._request = None
             return plain
-        self._request = self._once("world", lambda: sky.WorldRequest(more, (scene.frame_current, scene.frame_subframe)))
+        return self._panorama(scene, more) or plain
+
+    def _panorama(self, scene, shown) -> sky.Panorama | None:
+        """The panorama of a world, or the one that was there before until it has been rendered."""
+        self._request = self._once("world", lambda: sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe)))
         found = sky.sky.get(self._request)
         if found is None:
             sky.sky.ask(self._request)
             self.start()
             found = sky.sky.latest()
-        return found if isinstance(found, sky.Panorama) else plain
+        return found if isinstance(found, sky.Panorama) else None
 
     # drawing
 

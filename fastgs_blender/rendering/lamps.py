@@ -84,6 +84,46 @@ def flat(spread: float = np.pi) -> Beam:
 
 
 def dome(radiance, directions: int = 32) -> Lamp:
-    """The world around, of one radiance [3] or of the radiance that a function gives along unit vectors [L, 3]: suns all around."""
-    points = Light.ball(np.zeros(3), 1.0, directions).points
-    return Lamp(Light(points, True), 4 * np.pi * np.asarray(radiance(points) if callable(radiance) else radiance, np.float64))
+    """The world around, of one radiance [3]: suns all around."""
+    return Lamp(Light(Light.ball(np.zeros(3), 1.0, directions).points, True), 4 * np.pi * np.asarray(radiance, np.float64))
+
+
+def panorama(radiance: np.ndarray, directions: int = 32) -> Lamp | None:
+    """The world around as a picture of its radiance: at most so many suns, each for all light of a part of it.  None where it is dark.
+
+    radiance  [h, w, 3] equirectangular: the lowest row first, +Y in the middle of a row
+
+    The part whose light spreads most (light times squared extent) is cut into two of as much light, again and again, along its longer side
+    (after Debevec, A Median Cut Algorithm for Light Probe Sampling, 2005).  So a small bright sun is one direction, and its shadows sharp.
+    """
+    height, width = radiance.shape[:2]
+    up, turn = ((np.arange(count) + 0.5) / count - 0.5 for count in (height, width))
+    up, turn = np.pi * up[:, None], 2 * np.pi * turn
+    towards = np.stack(np.broadcast_arrays(np.sin(turn) * np.cos(up), np.cos(turn) * np.cos(up), np.sin(up)), -1)
+    light = np.maximum(radiance, 0) * (2 * (np.pi / height) * (np.pi / width) * np.cos(up))[..., None]
+    energy = light.sum(-1)
+    if not energy.any():
+        return None
+
+    def measured(top, bottom, left, right):
+        """(how far its light spreads, its sides in radians, where it lies) of a part."""
+        sides = (bottom - top) * np.pi / height, (right - left) * 2 * np.pi / width * np.cos(up[top:bottom]).max()
+        spread = (sides[0] ** 2 + sides[1] ** 2) * energy[top:bottom, left:right].sum()
+        return spread if (bottom - top) * (right - left) > 1 else 0.0, sides, (top, bottom, left, right)
+
+    parts = [measured(0, height, 0, width)]
+    while len(parts) < directions:
+        most = max(range(len(parts)), key=lambda number: parts[number][0])
+        spread, (tall, wide), (top, bottom, left, right) = parts[most]
+        if spread == 0:
+            break
+        across = bottom - top == 1 or (wide > tall and right - left > 1)
+        sums = energy[top:bottom, left:right].sum(0 if across else 1).cumsum()
+        cut = min(int(np.searchsorted(sums, sums[-1] / 2)) + 1, len(sums) - 1)
+        halves = [(top, bottom, left, left + cut), (top, bottom, left + cut, right)] if across else [
+            (top, top + cut, left, right), (top + cut, bottom, left, right)]
+        parts[most:most + 1] = [measured(*half) for half in halves]
+    boxes = [np.s_[top:bottom, left:right] for _, _, (top, bottom, left, right) in parts if energy[top:bottom, left:right].any()]
+    middles = np.stack([(energy[box][..., None] * towards[box]).sum((0, 1)) for box in boxes])
+    colours = np.stack([light[box].sum((0, 1)) for box in boxes])
+    return Lamp(Light(middles / np.maximum(np.linalg.norm(middles, axis=1, keepdims=True), 1e-30), True), len(boxes) * colours)

@@ -31,7 +31,6 @@ from .normals import smooth_normals
 from .painting import painted
 from .quantities import Shown
 from .shading import shading_of
-from .shadow import Light
 from .unlit import captured_light
 from .ways import Side, Ways
 
@@ -48,7 +47,7 @@ class SceneLight:
     lamps   of the scene, each with the names of the instances that it lights; None: all
     meshes  triangles [F, 3, 3] in the world that cast shadows on splats, or None
     bias    how near to a surface nothing casts shadows on it, in units of the world
-    size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; of one with many points each has fewer
+    size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; a point with little of its light has fewer
     levels  the number of each lamp's passes, from 0; lamps may share one.  Empty: they are numbered in their order
     reach   distance from meshes up to which they take light from all around, for the pass of contact occlusion
     """
@@ -108,19 +107,20 @@ class SceneLight:
                 bare += np.outer(share, lamp.colour[k])
                 past = [share.copy(), share]
                 for side in sides:
-                    for factor, through in zip(past, self._through(ways, lamp.light, k, side, spots), strict=True):
+                    for factor, through in zip(past, self._through(ways, lamp, k, side, spots), strict=True):
                         factor[side.rows] *= through
                 for sums, factor in zip(blocked, past, strict=True):
                     sums += np.outer(factor, lamp.colour[k])
                 progress((number + (k + 1) / count) / len(self.lamps))
         return total
 
-    def _through(self, ways: Ways, light: Light, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray]:
+    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray]:
         """Which share of the light of a lamp's point comes past the meshes, and past all, to a side's spots: [M] each."""
-        count, rows = len(light.points), side.rows
+        light, rows, part = lamp.light, side.rows, np.abs(lamp.colour).sum(1)
+        share = part[number] / max(part.sum(), 1e-30)
         towards = np.broadcast_to(light.points[number], (len(rows), 3)) if light.parallel else light.points[number] - spots.position[rows]
-        over, size = self.bias + REACH * spots.thickness(rows, towards), max(self.size // max(1, int(count ** 0.25)), 64)
-        meshes, splats = ways.past(light, number, side, spots.spread(rows, number, count), size, self.bias, over)
+        over, size = self.bias + REACH * spots.thickness(rows, towards), max(int(self.size * min(share**0.25, 1)), 64)
+        meshes, splats = ways.past(light, number, side, spots.spread(rows, number, share), size, self.bias, over)
         return meshes, meshes * splats
 
 
@@ -145,10 +145,10 @@ class _Spots:
         along = np.einsum("mkj,mk->mj", self._inverse[rows], towards)
         return np.linalg.norm(towards, axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-30)
 
-    def spread(self, rows: np.ndarray, number: int, count: int) -> np.ndarray:
-        """Places [S, M, 3] all over the spots `rows`, from which the point `number` of a lamp of `count` points is looked at: with few
-        points several, so that a shadow's edge crosses a spot little by little."""
-        each = max(SPREAD // count, 1)
+    def spread(self, rows: np.ndarray, number: int, share: float) -> np.ndarray:
+        """Places [S, M, 3] all over the spots `rows`, from which the point `number` of a lamp is looked at: if much of its light, a share,
+        comes from there several, so that a shadow's edge crosses a spot little by little."""
+        each = max(round(SPREAD * share), 1)
         k = number * each + np.arange(each)
         radius, turn = np.sqrt(k / PLASTIC % 1), 2 * np.pi * (k / PLASTIC**2 % 1)
         u, v = (radius * side(turn) for side in (np.cos, np.sin))

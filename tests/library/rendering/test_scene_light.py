@@ -9,7 +9,7 @@ from fastgs_blender.model.edits import Edit
 from fastgs_blender.rendering.colour import srgb_to_linear
 from fastgs_blender.rendering.exposure import Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
-from fastgs_blender.rendering.lamps import Lamp, cone, dome, flat
+from fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.relight import SceneLight
 from fastgs_blender.rendering.shadow import Light
@@ -69,6 +69,21 @@ def test_a_lamp_behind_the_wall_does_not_light_it():
 def test_the_world_lights_as_much_as_it_shines():
     """Half of a uniform world of radiance 1 is before a wall: it has its own colour."""
     assert np.allclose(middle(lit(wall(), [dome((1.0, 1.0, 1.0), 64)])), ALBEDO, rtol=0.03)
+
+
+def test_a_panorama_lights_from_where_it_is_bright():
+    """A uniform one lights as a world of one colour.  A small sun in it is one direction, with all of its light."""
+    assert np.allclose(middle(lit(wall(), [panorama(np.ones((32, 64, 3)), 64)])), ALBEDO, rtol=0.04)
+    assert panorama(np.zeros((32, 64, 3))) is None
+    sky, row, column = np.full((64, 128, 3), 0.01), 44, 40
+    sky[row, column] = 1e4, 5e3, 1e3
+    lamp = panorama(sky, 16)
+    brightest = lamp.colour.sum(1).argmax()
+    up, turn = np.pi * ((row + 0.5) / 64 - 0.5), 2 * np.pi * ((column + 0.5) / 128 - 0.5)
+    assert np.allclose(lamp.light.points[brightest], (np.sin(turn) * np.cos(up), np.cos(turn) * np.cos(up), np.sin(up)), atol=1e-3)
+    assert np.allclose(lamp.colour[brightest] / 16, sky[row, column] * np.cos(up) * (np.pi / 64) ** 2, rtol=0.02)
+    whole = (sky * np.cos(np.pi * ((np.arange(64) + 0.5) / 64 - 0.5))[:, None, None] * (np.pi / 64) ** 2).sum((0, 1))
+    assert len(lamp.colour) == 16 and np.allclose(lamp.colour.mean(0), whole)
 
 
 def test_beams():
