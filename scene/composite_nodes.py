@@ -22,8 +22,9 @@ INPUTS = (
     ("Shadow Catcher", COLOUR, (1.0, 1.0, 1.0, 1.0)), ("Catcher Bias", NUMBER, 0.2), ("World", COLOUR, None), ("Transparent", NUMBER, 0.0),
 )
 """Sockets of the group that joins: name, type, value where nothing is linked; nothing is transparent."""
-SHADED = ("Image", COLOUR, None), ("Lamp", COLOUR, None), ("Splat Shadow", NUMBER, 1.0), ("Shadow Strength", NUMBER, 1.0)
-"""Sockets of the group that takes a lamp's light away."""
+SHADED = (("Image", COLOUR, None), ("Lamp", COLOUR, None), ("Splat Shadow", NUMBER, 1.0), ("Shadow Strength", NUMBER, 1.0),
+          ("Denoise", NUMBER, 0.0))
+"""Sockets of the group that takes a lamp's light away; engines denoise the image, and not the light of one lamp."""
 RELIT = (("Image", COLOUR, None), ("Unlit Colour", COLOUR, None), ("Captured Light", NUMBER, 0.3), ("Lamps", NUMBER, 1.0),
          ("Shadows", NUMBER, 1.0), ("Unlit", NUMBER, 0.0), *(
              (name, kind, value) for level in range(LAMPS) for name, kind, value in (
@@ -48,7 +49,9 @@ def shade(tree: bpy.types.NodeTree) -> None:
     """Fill an empty group of the compositor: what of an image remains if splats let through a share of one lamp's light."""
     b = _begin(tree, SHADED)
     taken = b.math('MULTIPLY', b.math('SUBTRACT', 1.0, b.given["Splat Shadow"]), b.given["Shadow Strength"])
-    b.node('NodeGroupOutput', (_mix(b, 'SUBTRACT', 1.0, b.given["Image"], _alpha(b, 'Apply Mask', b.given["Lamp"], taken)),))
+    lamp = _mix(b, 'MIX', b.given["Denoise"], b.given["Lamp"], b.node('CompositorNodeDenoise', {"Image": b.given["Lamp"]}).outputs[0])
+    left = _mix(b, 'SUBTRACT', 1.0, b.given["Image"], _alpha(b, 'Apply Mask', lamp, taken))
+    b.node('NodeGroupOutput', (_mix(b, 'LIGHTEN', 1.0, left, (0.0, 0.0, 0.0, 0.0)),))
 
 
 def relight(tree: bpy.types.NodeTree) -> None:

@@ -12,7 +12,7 @@ from ..fastgs_blender.rendering.passes import PASSES
 from . import composite_nodes, holdout, mesh_scene, shadows
 
 MESHES, JOIN, SHADE, RELIGHT = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade", "FAST-GS Relight"
-VERSION = 2
+VERSION = 3
 """Value of a group's mark; groups with another one were made by an older version of the extension, and are made anew."""
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""
@@ -218,6 +218,9 @@ def _shaded(tree, join, splats, meshes, lamps):
             node = _new_group(tree, SHADE, composite_nodes.shade, meshes.location.x + 260, meshes.location.y - 200 * i)
             node[LAMP] = node.label = lamp.name_full
         light = next((s for s in meshes.outputs if s.enabled and s.name.endswith(mesh_scene.light_group(i))), meshes.outputs["Image"])
+        denoised = float(meshes.scene.render.engine == 'CYCLES' and meshes.scene.cycles.use_denoising)
+        if node.inputs["Denoise"].default_value != denoised:
+            node.inputs["Denoise"].default_value = denoised
         _feed(tree, node, {"Image": image, "Lamp": light, "Splat Shadow": splats.outputs.get(shadows.PASSES[i])})
         image = node.outputs[0]
     for node in there.values():

@@ -240,6 +240,25 @@ def test_a_shadow_takes_the_light_of_its_lamp_alone(scene, fg, model_file, splat
     assert [node.label for node in tree_of(scene).nodes if node.name.startswith("FAST-GS Shade")] == ["Right"]
 
 
+def test_the_light_that_a_shadow_takes_is_denoised_too(scene, fg, model_file, splat_object, add, paint, add_camera, choose, render):
+    """Engines denoise their picture, and not the light of one lamp: a shadow would be full of its noise."""
+    ball = fg.GaussianModel(position=[[0, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.5] * 3]), opacity=[9.0],
+                            features=[[0.9, 0.1, 0.1]])
+    splat_object(model_file(ball))
+    add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
+    paint(add("plane", size=40))
+    lamp = bpy.data.objects.new("Area", bpy.data.lights.new("Area", 'AREA'))
+    lamp.location, lamp.rotation_euler, lamp.data.energy, lamp.data.size = (-3, 0, 5), (0, -0.54, 0), 400, 3.0
+    lamp.fastgs.splat_shadow = True
+    scene.collection.objects.link(lamp)
+    cycles, noise = choose().cycles, []
+    cycles.samples = 4
+    for cycles.use_denoising in (False, True):
+        pictures = [render("PNG16")[16:32, 36:60, 1] for cycles.seed in (0, 1)]
+        noise.append(np.abs(pictures[1] - pictures[0]).mean())
+    assert noise[1] < 0.4 * noise[0]
+
+
 def test_a_shadow_catcher_lays_the_shadows_of_meshes_over_splats(scene, screen, add, sky, add_camera, choose, render):
     """A box between a sun and the screen, which stands just before a catcher, or well before it."""
     add_camera(lens=30.0)
@@ -335,7 +354,7 @@ def test_names_of_blender_4_are_short_and_each_its_own(module):
     assert len(set(found)) == len(names) and max(map(len, found)) <= 29 and found[:6] == names[:6]
 
 
-def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp_path):
+def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, module, tmp_path):
     """The picture, the splats' passes and those of the meshes, with their names for Cryptomatte, beside the scene's own picture."""
     import OpenEXR
 
@@ -343,6 +362,12 @@ def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp
     wall(-1.5, -1.0, (0, 1, 0)).name = "Wall"
     layer, meshes = scene.view_layers[0], choose().view_layers[0]
     layer.use_pass_mist = layer.use_pass_cryptomatte_object = True
+    lights = {entry.switch.removeprefix("fastgs.") for entry in module("fastgs_blender.rendering.passes").PASSES.values() if entry.light}
+    for switch in lights:
+        setattr(layer.fastgs, switch, True)
+    sun = bpy.data.objects.new("Sun", bpy.data.lights.new("Sun", 'SUN'))
+    scene.collection.objects.link(sun)
+    sun.rotation_euler.x, sun.data.energy = np.pi / 2, 2.0  # from behind the camera
     meshes.use_pass_normal = meshes.use_pass_emit = meshes.use_pass_cryptomatte_object = True
     before = len(tree_of(scene).nodes)
     scene.fastgs.write_passes = True
@@ -359,6 +384,9 @@ def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, tmp
     np.testing.assert_allclose(planes[f"{made}.{light}"][y, x, :3], (0, 1, 0), atol=1e-3)
     assert planes["ViewLayer.Depth"][y, 60, 0] == pytest.approx(5, abs=0.1) and 0 < planes["ViewLayer.Mist"][y, 60, 0] < 1
     assert planes[f"{made}.CryptoObject00"][y, x, 1] == 1
+    assert planes["ViewLayer.Lamp Light"][y, 60, :3] == pytest.approx(2 / np.pi, abs=0.02)
+    kept = None if bpy.app.version >= (5, 0, 0) else 14
+    assert all(f"ViewLayer.{name[:kept]}" in planes for name in ("Mesh Shadow", "Lamp Shadow", "Contact Occlusion"))
     with OpenEXR.File(str(path), separate_channels=True) as file:
         manifests = {name: value for part in file.parts for name, value in part.header.items() if name.endswith("/manifest")}
     assert any("Wall" in text for text in manifests.values()) and any(screen.name in text for text in manifests.values())

@@ -41,3 +41,5 @@ def test_a_shadow_takes_the_lamps_part(group):
     assert group("shade", Image=(0.1, 0.5, 0.2, 1), Lamp=(0, 0.3, 0.1, 1)) == pytest.approx([0.1, 0.5, 0.2, 1], abs=1e-3)
     assert group("shade", Splat_Shadow=0.5) == pytest.approx([0.1, 0.35, 0.15, 1], abs=1e-3)
     assert group("shade", Shadow_Strength=0.5) == pytest.approx([0.1, 0.425, 0.175, 1], abs=1e-3)
+    assert group("shade", Denoise=1.0) == pytest.approx([0.1, 0.425, 0.175, 1], abs=5e-3)
+    assert group("shade", Lamp=(0, 4, 0.1, 1))[1] == 0  # noise never makes light negative
