@@ -12,6 +12,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
+from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
@@ -108,7 +109,7 @@ class Device:
     _pipelines: dict[tuple, Pipeline] = field(default_factory=dict)
     _groups: Groups = field(default_factory=Groups)
     _recorded: set[int] = field(default_factory=set)  # ids of the buffers in commands that have not been sent
-    _spare: dict[int, list] = field(default_factory=dict)
+    _spare: dict[int, list] = field(default_factory=dict)  # heaps: in whatever order buffers come back, each step finds the same ones
     _spare_bytes: int = 0
     _encoder: Any = None
     _pass: Any = None
@@ -179,7 +180,7 @@ class Device:
         with self._lock:
             while self._spare.get(size):
                 self._spare_bytes -= size
-                native = self._spare[size].pop()
+                native = heappop(self._spare[size])[1]
                 if getattr(native, "_internal", True) is not None:  # wgpu frees what Python's collector of cycles has found
                     return Buffer(self, native, size)
         try:
@@ -199,12 +200,12 @@ class Device:
 
         return self.native.create_buffer(size=size, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST)
 
-    def take_back(self, buffer: Buffer, most: int = SPARE) -> None:
-        """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (An argument, because buffers may outlive this module's
+    def take_back(self, buffer: Buffer, most: int = SPARE, push=heappush) -> None:
+        """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (Arguments, because buffers may outlive this module's
         names when Python ends.)"""
         with self._lock:
             if buffer.reused and not self.broken and self._spare_bytes + buffer.size <= most:
-                self._spare.setdefault(buffer.size, []).append(buffer.native)
+                push(self._spare.setdefault(buffer.size, []), (id(buffer.native), buffer.native))
                 self._spare_bytes += buffer.size
             else:
                 self._groups.forget(buffer.native)
