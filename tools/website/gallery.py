@@ -63,7 +63,7 @@ ENTRIES = {
     "dancer": Entry("A dancer", "Trained from twelve cameras. She dances there and back, without a seam.", (0.0, 0.2, 1.0),
                     (3.0, -8, 8), 12, turns_back=True),
     "room": Entry("A room", "Furniture and two people, baked with the light of Cycles.", (0.0, 0.6, 0.9), (3.3, 0, 14), 14,
-                  turns_back=True, count=60_000, samples=32),
+                  turns_back=True, count=150_000, samples=32),
     "robot": Entry("A robot", "Forty rigid parts, baked without training. Its dance has no seam.", (0.0, 0.0, 0.95), (3.7, 18, 10), 24,
                    count=60_000, samples=32, open=True),
     "fire": Entry("Fire and cloth", "A flame, a flag, thrown balls and spinners, baked.", (0.0, 0.0, 0.8), (3.4, 10, 10), 18,
