@@ -2,7 +2,8 @@
 """find the part of a clip that can be played over and over
 
 It compares small pictures of all frames, and how they change, and proposes where to cut.  The end fades into the beginning for a few
-frames.  The numbers say how much the picture changes at the seam, by how much it changes from frame to frame.
+frames.  The numbers say how much the picture changes at the seam, by how much it changes from frame to frame.  Where no cut is better, it
+proposes the whole clip.
 
     fastgs loop model.safetensors --least 20 --fade 6
 
@@ -39,8 +40,9 @@ def run(args: argparse.Namespace) -> None:
     if args.json:
         print_json({"model": args.model, **vars(loop)})
         return
+    cut = "the whole clip, because no cut is better" if loop.uncut else f"frames {loop.start:g} to {loop.start + loop.length:g}"
     say_table(screen([
-        ("loop", f"frames {loop.start:g} to {loop.start + loop.length:g}, {loop.length:g} frames"), ("fade", f"{loop.fade:g} frames"),
+        ("loop", f"{cut}, {loop.length:g} frames"), ("fade", f"{loop.fade:g} frames"),
         ("seam", f"{loop.cut:.2f} times the usual change, {loop.blended:.2f} with the fade; {loop.whole:.2f} for the whole clip"),
         ("motion", f"alike by {loop.motion:.2f} on both sides"),
         ("in Blender", f"Trim Start {loop.start:g}, End {source.clip.frame_count - loop.end:g}, Loop Fade {loop.fade:g}"),

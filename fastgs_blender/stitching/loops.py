@@ -5,7 +5,7 @@ Two moments are alike if small pictures of them from several places are, and if 
 begins at the one and ends at the other.  Around the seam the end fades into the beginning.
 """
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any
 
@@ -32,6 +32,8 @@ MOTION = 1.0
 """Weight of how pictures change from frame to frame, by that of the pictures."""
 AS_GOOD = 1.15
 """A shorter loop is taken where its seam is no more than so many times as visible as the best."""
+NO_BETTER = 1.05
+"""The whole clip is taken where every cut's seam is seen more than so many times as much as its own end."""
 FINE = 8
 """Parts of a frame in which the end of the loop is looked for at last."""
 
@@ -43,10 +45,12 @@ class Loop:
     start    the frame with which it begins
     length   frames until it begins anew
     fade     frames at its beginning over which the end goes and the beginning comes
-    whole    what plays at once, by the change from one frame to the next: the jump from the last frame to the first of the whole clip
+    whole    how much the picture changes at once from the last frame of the clip to its first, by the usual change of a frame
     cut      the same at the seam of the cut alone,
     blended  and with the fade, at its largest
     motion   how alike the motion is on both sides of the seam: 1 the same, 0 none of it, -1 backwards
+    seam     how much is seen of it in all, fade and motion included: 1 no more than of any frame
+    uncut    whether it is all of the clip, because no cut is better
 
     Example:
         loop = fg.find_loop(model.take(slice(None, None, 50)), least=10, fade=4)
@@ -60,6 +64,8 @@ class Loop:
     cut: float
     blended: float
     motion: float
+    seam: float
+    uncut: bool
 
     @property
     def end(self) -> float:
@@ -70,6 +76,8 @@ class Loop:
 def find_loop(source: Source, *, least: float | None = None, fade: float = 8.0, first: float = 0.0, last: float | None = None,
               settings: ObjectSettings | None = None, progress: Callable[[float], Any] | None = None) -> Loop:
     """The best loop in a clip, by small pictures from a few places: the shortest of those whose seam is about as good as the best one's.
+
+    It is the whole clip, without a fade, where every cut's seam is seen more than that clip's own end.
 
     least        frames that it lasts at least; None: half of the clip
     fade         frames over which the end fades into the beginning; 0 cuts.  It is at most half of the loop
@@ -113,9 +121,10 @@ def find_loop(source: Source, *, least: float | None = None, fade: float = 8.0, 
     on_grid = np.abs(around - end).argmin()
     best = int(np.argmin(off))
     end = float(around[best] if off[best] < 0.9 * off[on_grid] else around[on_grid])
-    loop = eyes.judged(start, end - start, fade, float(np.sqrt(np.square(np.diff(seen, axis=0)).mean(1)).mean() / step))
+    usual = float(np.sqrt(np.square(np.diff(seen, axis=0)).mean(1)).mean() / step)
+    cut, whole = eyes.judged(start, end - start, fade, usual), eyes.judged(first, last + 1 - first, 0.0, usual)
     progress(1.0)
-    return loop
+    return replace(whole, uncut=True) if cut.seam > NO_BETTER * whole.seam else replace(cut, whole=whole.cut)
 
 
 def _best(seen: np.ndarray, at: np.ndarray, least: float, fade: float) -> tuple[int, int]:
@@ -199,17 +208,31 @@ class Eyes:
         def jump(before: np.ndarray, after: np.ndarray) -> float:
             return float(np.sqrt(np.square(after - before).mean()) / max(usual, 1e-6))
 
-        ends = self.picture(self.last), self.picture(0.0 if self.last > self.source.clip.frame_count - 1.5 else start)
-        before, after = self.picture(start + length - 1), self.picture(start)
-        ahead = 1.0 if start + length + 1 <= self.last or start < 1 else -1.0
-        way, other = (self.picture(min(at + ahead, self.last)) - self.picture(at) for at in (start + length, start))
-        alike = float((way * other).sum() / max(np.linalg.norm(way) * np.linalg.norm(other), 1e-12))
-        blended = jump(before, after)
+        def step(frame: float) -> np.ndarray:
+            return self.picture(frame + 1) - self.picture(frame)
+
+        end = start + length
+        goes, comes = self.picture(end - 1), self.picture(start)
+        ahead = 0.0 if end + 1 <= self.last else -1.0
+        if end <= self.last and start + ahead >= 0:
+            going, coming = step(end + ahead), step(start + ahead)
+            motion = _alike(going, coming)
+        else:  # what would follow is not known, so steps are compared that are two frames apart, with others that are
+            going, coming = step(end - 2), step(start)
+            motion = min(_alike(going, coming) + 1 - 0.5 * (_alike(step(end - 4), going) + _alike(coming, step(start + 2))), 1.0)
+        cut = blended = jump(goes, comes)
         if fade:
             times = np.arange(-1, np.ceil(fade) + 1)
             shown = [self.picture(*faded(start, length, fade, at)) for at in times]
             blended = max(jump(a, b) for a, b in pairwise(shown))
-        return Loop(start, length, fade, jump(*ends), jump(before, after), blended, alike)
+        natural = max(1.0, jump(0 * going, going), jump(0 * coming, coming))
+        seam = float(np.sqrt(max(blended / natural, 1.0) ** 2 + 2 * MOTION * (1 - motion)))
+        return Loop(start, length, fade, cut, cut, blended, motion, seam, False)
+
+
+def _alike(one: np.ndarray, other: np.ndarray) -> float:
+    """The cosine between two changes of pictures."""
+    return float((one * other).sum() / max(np.linalg.norm(one) * np.linalg.norm(other), 1e-12))
 
 
 def faded(start: float, length: float, fade: float, at: float) -> list[tuple[float, float]]:

@@ -157,6 +157,13 @@ def test_a_loop_repeats_in_the_scene(fg, scene, model_file, module, fps, start, 
     assert bpy.data.objects[0].fastgs.after == 'HOLD'
 
 
+def test_a_clip_that_loops_by_itself_is_left_whole(fg, model_file):
+    bpy.ops.import_scene.fastgs(filepath=model_file(swinging(fg, 60)))
+    assert bpy.ops.fastgs.make_loop(fade=4) == {'FINISHED'}
+    settings = bpy.context.object.fastgs
+    assert (settings.trim_start, settings.trim_end, settings.fade, settings.after) == (0, 0, 0, 'LOOP')
+
+
 def test_a_still_and_animated_trims_have_no_loop(fg, model_file):
     bpy.ops.import_scene.fastgs(filepath=model_file(part(fg, 0, -1, 1)))
     assert not bpy.ops.fastgs.make_loop.poll()

@@ -31,6 +31,15 @@ def test_a_clip_without_a_period_is_better_with_a_fade():
     assert fg.find_loop(wander, least=20, fade=8) == loop
 
 
+@pytest.mark.parametrize(("period", "uncut"), [(48, True), (47, True), (30, False)])
+def test_a_clip_that_loops_by_itself_is_left_whole(period, uncut):
+    """No cut of it is better than its own end; one of a round and a half has a better cut."""
+    loop = fg.find_loop(swinging(fg, period, frames=48, n=80), fade=4)
+    assert loop.uncut == uncut and loop.seam < 1.05
+    assert (loop.start, loop.length, loop.fade) == (0, 48, 0) if uncut else loop.length == pytest.approx(30, abs=0.13)
+    assert loop.uncut or loop.blended < loop.whole
+
+
 def test_backwards_is_not_taken_for_the_same():
     """A pendulum is at one place twice in a period; only once it goes the same way."""
     model = swinging(fg, 24, n=80)
