@@ -4,24 +4,33 @@
 It is a cut through the joins of neighbours (joins.py), each with a weight that is small where its two Gaussians drift apart or differ in
 colour.  A minimal cut (Boykov and Jolly 2001) obeys every Gaussian of a stroke, those of the floor beside a foot too, and cuts off what
 is long and thin.  So the squares of the differences are made least instead of their sizes: the random walker (Grady 2006), a potential
-that strokes pull to 1 and -1 and everything else weakly to 0.  Gaussians of a stroke whose neighbours say otherwise are then pulled less,
-and the potential is found again: in a trained model a stroke always touches some of the haze and of what lies behind.
+that strokes pull to 1 and -1 and everything else weakly to 0, what has other colours a little less weakly.  It is then found twice again.  Gaussians of a stroke whose neighbours say
+otherwise are pulled less: in a trained model a stroke always touches some of the haze and of what lies behind.  At last joins hold less
+across which it differs much, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.  The border is
+the potential at which the joins that it cuts are weakest, by those within it (a sweep cut, Andersen, Chung and Lang 2006).
 """
 from __future__ import annotations
 
 import numpy as np
 
 from ..model.gaussians import GaussianModel
+from ..rendering.filters import base_colours
 from ..util.errors import FastGSError
 from .joins import joins
 
 PULL = 0.3
 """How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it."""
-REST, BORDER = 2.5e-4, 0.2
-"""How strongly each Gaussian is pulled to 0, by the same sum; and the share of the strokes' mean potential from which on a Gaussian belongs
-to the thing."""
-REST_ALONE, BORDER_ALONE = 1e-3, 0.5
-"""The same where no stroke says what does not belong to the thing."""
+REST, REST_ALONE = 2.5e-4, 1e-3
+"""How strongly each Gaussian is pulled to 0, by the same sum; and where no stroke says what does not belong to the thing."""
+OTHER, TINT = 5.0, 0.15
+"""How much more a Gaussian is pulled to 0 that has another colour than the stroke, and the difference of colours (0..1) that makes it so."""
+SEEN = 128
+"""The most Gaussians of a stroke that colours are compared with; a colour is the stroke's if three of them have it."""
+BORDERS, BORDERS_ALONE = (0.1, 0.7), (0.4, 0.6)
+"""Shares of the strokes' mean potential between which the border is looked for, with and without such a stroke; and their number."""
+TRIED = 41
+FALL = 0.1
+"""Difference of the potential across a join that halves its weight."""
 MANY = 20_000
 """With more Gaussians joins are shorter. To reach as far, pulls are weaker there, by the power 1.5 of their number (measured)."""
 FEW = 40
@@ -46,19 +55,32 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
-    rest, border = (REST, BORDER) if no is not None and no.any() else (REST_ALONE, BORDER_ALONE)
+    rest, borders = (REST, BORDERS) if no is not None and no.any() else (REST_ALONE, BORDERS_ALONE)
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
     i, j = found.ends.T
     weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
     degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
     pulled = degree * min(MANY / len(model), 1) ** 1.5
-    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1)
+    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1) * (1 + OTHER * _other(model, yes))
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
-    return y > border * float(y[yes].mean())
+    y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, model.position)
+    low, high = np.sort([y[i], y[j]], axis=0)
+    tried = np.linspace(*borders, TRIED) * float(y[yes].mean())
+    cut = [weight[(low <= border) & (border < high)].sum() / max(degree[y > border].sum(), LOOSE) for border in tried]
+    return y > tried[np.argmin(cut)]
+
+
+def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:
+    """How far the colour of each Gaussian [N] is none of the stroke's: 0 to 1."""
+    colour = base_colours(model)
+    stroke = colour[np.flatnonzero(yes)[:: -(-int(yes.sum()) // SEEN)]]
+    squared = (colour**2).sum(1)[:, None] + (stroke**2).sum(1) - 2 * colour @ stroke.T
+    third = min(3, len(stroke)) - 1
+    return 1 - np.exp(-np.maximum(np.partition(squared, third, axis=1)[:, third], 0) / (2 * TINT**2))
 
 
 def connected(model: GaussianModel, some: np.ndarray, reach: float = 3.0) -> np.ndarray:

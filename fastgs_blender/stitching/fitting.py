@@ -41,7 +41,7 @@ NEAR = 0.35
 """Distance across the surface, in finest cells, up to which two surfaces are one."""
 UNLIKE = 1.0
 """Difference of colours, in their standard deviations, that makes a pair count little."""
-LEAST_OVERLAP, LEAST_AGREEMENT, LEAST_COLOURED, LOOSE = 0.1, 0.72, 0.6, 0.004
+LEAST_OVERLAP, LEAST_AGREEMENT, LEAST_COLOURED, LOOSE = 0.1, 0.72, 0.6, 0.02
 """Less is no sure fit: the share of the smaller surface that lies on the other; of what lies near the other, the share that lies on it; how
 much of its colours the other's tell; how firmly the surfaces hold the weakest of all motions, by what holds the strongest."""
 RIVAL = 0.85
