@@ -56,8 +56,8 @@ class FASTGS_OT_make_loop(Stepwise, bpy.types.Operator):
             except ReferenceError:
                 raise FastGSError("the splat object was deleted meanwhile.") from None
         if found.uncut:
-            return (f"the whole clip loops best: from its last frame to its first the picture changes {found.cut:.1f} times as much as from "
-                    "frame to frame, and no cut is better")
+            return (f"the whole clip loops best; no cut is better: from its last frame to its first the picture changes {found.cut:.1f} "
+                    "times as much as from frame to frame")
         return (f"frames {found.start:g} to {found.start + found.length:g} loop, {found.length:g} frames. At the seam the picture changes "
                 f"{found.cut:.1f} times as much as from frame to frame, with the fade {found.blended:.1f} times; the whole clip's seam "
                 f"{found.whole:.1f} times")

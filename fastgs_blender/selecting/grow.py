@@ -4,10 +4,14 @@
 It is a cut through the joins of neighbours (joins.py), each with a weight that is small where its two Gaussians drift apart or differ in
 colour.  A minimal cut (Boykov and Jolly 2001) obeys every Gaussian of a stroke, those of the floor beside a foot too, and cuts off what
 is long and thin.  So the squares of the differences are made least instead of their sizes: the random walker (Grady 2006), a potential
-that strokes pull to 1 and -1 and everything else weakly to 0, what has other colours a little less weakly.  It is then found twice again.  Gaussians of a stroke whose neighbours say
-otherwise are pulled less: in a trained model a stroke always touches some of the haze and of what lies behind.  At last joins hold less
-across which it differs much, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.  The border is
-the potential at which the joins that it cuts are weakest, by those within it (a sweep cut, Andersen, Chung and Lang 2006).
+that strokes pull to 1 and -1 and everything else weakly to 0, what has other colours less weakly.  It is then found twice again.
+
+* Gaussians of a stroke whose neighbours say otherwise are pulled less: in a trained model a stroke always touches some of the haze and of
+  what lies behind.
+* Joins across which it differs much hold less, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.
+
+With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
+within it: a sweep cut (Andersen, Chung and Lang 2006).
 """
 from __future__ import annotations
 
@@ -23,12 +27,14 @@ PULL = 0.3
 REST, REST_ALONE = 2.5e-4, 1e-3
 """How strongly each Gaussian is pulled to 0, by the same sum; and where no stroke says what does not belong to the thing."""
 OTHER, TINT = 5.0, 0.15
-"""How much more a Gaussian is pulled to 0 that has another colour than the stroke, and the difference of colours (0..1) that makes it so."""
+"""How much more that is for a Gaussian of another colour than the stroke's, where a stroke says what does not belong to the thing; and the
+difference of colours (0..1) from which on."""
 SEEN = 128
 """The most Gaussians of a stroke that colours are compared with; a colour is the stroke's if three of them have it."""
-BORDERS, BORDERS_ALONE = (0.1, 0.7), (0.4, 0.6)
-"""Shares of the strokes' mean potential between which the border is looked for, with and without such a stroke; and their number."""
-TRIED = 41
+BORDERS, TRIED = (0.1, 0.7), 41
+"""Shares of the strokes' mean potential between which the border is looked for, and how many are tried."""
+BORDER_ALONE = 0.5
+"""The border where no stroke says what does not belong to the thing: it has no weakest cut then."""
 FALL = 0.1
 """Difference of the potential across a join that halves its weight."""
 MANY = 20_000
@@ -55,21 +61,24 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
-    rest, borders = (REST, BORDERS) if no is not None and no.any() else (REST_ALONE, BORDERS_ALONE)
+    against = no is not None and bool(no.any())
+    rest = REST * (1 + OTHER * _other(model, yes)) if against else REST_ALONE
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
     i, j = found.ends.T
     weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
     degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
     pulled = degree * min(MANY / len(model), 1) ** 1.5
-    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1) * (1 + OTHER * _other(model, yes))
+    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
+    if not against:
+        return y > BORDER_ALONE * float(y[yes].mean())
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, model.position)
     low, high = np.sort([y[i], y[j]], axis=0)
-    tried = np.linspace(*borders, TRIED) * float(y[yes].mean())
+    tried = np.linspace(*BORDERS, TRIED) * float(y[yes].mean())
     cut = [weight[(low <= border) & (border < high)].sum() / max(degree[y > border].sum(), LOOSE) for border in tried]
     return y > tried[np.argmin(cut)]
 
