@@ -1,7 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Meshes inside the example's splats: what they hide, the shadows they catch, and the composite with Cycles: docs/meshes.webp.
+"""A ball that rolls around the example's dancer, under a sun, an area lamp, the world and the captured fire: docs/meshes.webp.
 
     python tools/meshes_sheet.py [--out docs/meshes.webp]      (needs bpy)
+
+Eight frames, as F12 renders them after *Render With Meshes: Cycles* was chosen once, with a shutter of 1.5 frames and depth of field.
 """
 from __future__ import annotations
 
@@ -9,6 +11,7 @@ import argparse
 import os
 import sys
 import tempfile
+from math import pi
 from pathlib import Path
 
 import numpy as np
@@ -16,15 +19,21 @@ from sheet import grid
 
 ROOT = Path(__file__).resolve().parents[1]
 SIZE = 400, 250
-FRAME = 6
-EYE, TARGET = np.array([0.9, -2.75, 1.6]), np.array([0.15, 0.0, 0.85])
+FRAMES = range(1, 41, 5)
+CLIP = 40
+EYE, TARGET = np.array([0.75, -3.0, 1.5]), np.array([0.1, 0.0, 0.78])
+AROUND, RADIUS = 0.88, 0.3
+"""Radii of the ball's way around the dancer, and of the ball."""
+START = -0.3 * pi
+"""Where on its way the ball begins; -pi / 2 is before her."""
 PAPER = np.array([236, 239, 243]) / 255
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before bpy is imported
+os.environ.setdefault("FASTGS_CACHE_DIR", str(ROOT / "build" / "cache"))  # which tests share: nothing is compiled twice
 
 import bpy  # noqa: E402, I001 (it brings the other two)
 import addon_utils  # noqa: E402
-from mathutils import Vector  # noqa: E402
+from mathutils import Quaternion, Vector  # noqa: E402
 
 sys.path.append(str(ROOT / "tests" / "addon"))
 import image_files  # noqa: E402
@@ -35,24 +44,18 @@ ADDON = "bl_ext.user_default.fastgs_blender"
 def main():
     arguments = argparse.ArgumentParser(description=__doc__.splitlines()[0])
     arguments.add_argument("--out", type=Path, default=ROOT / "docs" / "meshes.webp")
+    arguments.add_argument("--samples", type=int, default=48)
+    arguments.add_argument("--frames", type=int, nargs="*", default=FRAMES)
     options = arguments.parse_args()
     enable()
     scene = build()
-    pictures = {"splats": render(scene)}
     scene.fastgs.render_meshes = 'CYCLES'
-    meshes = bpy.data.scenes[f"{scene.name} Meshes"]
-    meshes.cycles.samples, meshes.cycles.use_denoising = 48, False
-    shadow = image_files.read_exr(file(scene, "EXR"))["ViewLayer.Splat Shadow"][..., 0]
-    scene.render.use_compositing, scene.fastgs.use_meshes = False, True
-    pictures["splats that the meshes hide"] = render(scene)
-    pictures["meshes, by Cycles"] = render(meshes)
-    pictures["pass Splat Shadow"] = np.repeat(shadow[..., None], 3, -1)
-    scene.render.use_compositing = True
-    tree = scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
-    strength = tree.nodes["FAST-GS Shade"].inputs["Shadow Strength"]
-    for name, strength.default_value in (("joined, without shadows", 0.0), ("joined", 0.8)):
-        pictures[name] = render(scene)
-    grid(pictures.items(), 3).save(options.out, quality=85, method=6)
+    bpy.data.scenes[f"{scene.name} Meshes"].cycles.samples = options.samples
+    pictures = {}
+    for frame in options.frames:
+        scene.frame_set(frame)
+        pictures[f"frame {frame}"] = render(scene)
+    grid(pictures.items(), 4).save(options.out, quality=85, method=6)
     print(options.out)
 
 
@@ -65,36 +68,75 @@ def enable():
 
 
 def build():
-    """The example with a ring around its dancer, a monkey on a platform beside her, and a spot light."""
+    """The example with a ball, a ground for it, lamps, a shutter and a lens."""
     bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=True)
     scene = bpy.context.scene
     scene.render.engine = 'FASTGS'
     scene.render.resolution_x, scene.render.resolution_y = SIZE
     scene.render.dither_intensity = 0
-    scene.render.film_transparent = True
     scene.world = bpy.data.worlds.new("World")
+    background = scene.world.node_tree.nodes["Background"].inputs
+    background["Color"].default_value, background["Strength"].default_value = (0.25, 0.33, 0.5, 1), 0.35
     bpy.ops.import_scene.fastgs(filepath=str(ROOT / "examples" / "fireside.safetensors"))
+    capture = bpy.context.object
+    capture.fastgs.captured_light, capture.fastgs.lamp_light, capture.fastgs.shadows = 0.35, 0.9, 0.9
     scene.view_settings.view_transform = 'Standard'
-    camera = scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
-    camera.location, camera.data.lens = EYE, 0.8 * 36
-    camera.rotation_euler = Vector(TARGET - EYE).to_track_quat('-Z', 'Y').to_euler()
-    spot = bpy.data.objects.new("Spot", bpy.data.lights.new("Spot", 'SPOT'))
-    spot.location, spot.data.energy, spot.data.spot_size, spot.data.shadow_soft_size = (-1.3, -1.6, 2.5), 260, 1.4, 0.08
-    spot.rotation_euler = (Vector((0.5, -0.3, 0.5)) - spot.location).to_track_quat('-Z', 'Y').to_euler()
-    for obj in (camera, spot):
-        scene.collection.objects.link(obj)
-    bpy.ops.mesh.primitive_cylinder_add(vertices=96, radius=0.55, depth=0.1, location=(0.95, 0.35, 0.05))
-    paint((0.75, 0.75, 0.72), 0.6)
-    bpy.ops.mesh.primitive_torus_add(major_radius=0.62, minor_radius=0.035, major_segments=128, minor_segments=32,
-                                     location=(0.02, 0.0, 1.18), rotation=(0.3, 0.15, 0.0))
-    paint((0.95, 0.75, 0.3), 0.3)
-    bpy.ops.mesh.primitive_monkey_add(size=0.55, location=(0.95, 0.35, 0.36), rotation=(-0.35, 0, 0.1))
-    bpy.context.object.modifiers.new("Smooth", 'SUBSURF').render_levels = 2
-    bpy.ops.object.shade_smooth()
-    paint((0.12, 0.3, 0.75), 0.35)
-    spot.fastgs.splat_shadow, scene.fastgs.shadow_bias = True, 0.06
-    scene.frame_set(FRAME)
+    ball()
+    bpy.ops.fastgs.add_light_probe()  # around the ball, which is active
+    ground()
+    lamp("Sun", 'SUN', (-2.4, -4.0, 2.6), (0, 0, 0), energy=1.8, angle=0.03, color=(1.0, 0.93, 0.82))
+    lamp("Footlight", 'AREA', (1.25, -1.65, 0.12), (0, 0, 0.7), energy=30, size=0.25, color=(0.9, 0.95, 1.0))
+    film(scene)
     return scene
+
+
+def ball():
+    """A beach ball that rolls once around the dancer while the clip plays."""
+    bpy.ops.mesh.primitive_uv_sphere_add(segments=96, ring_count=48, radius=RADIUS)
+    bpy.ops.object.shade_smooth()
+    made = bpy.context.object
+    for colour in ((0.4, 0.37, 0.31), (0.04, 0.18, 0.2)):
+        paint(colour, 0.2)
+    for face in made.data.polygons:
+        face.material_index = int(8 * (np.arctan2(face.center.y, face.center.x) / (2 * pi) % 1)) % 2
+    made.rotation_mode, turned = 'QUATERNION', Quaternion((1, 0, 0), 0.6)
+    for frame in range(-1, CLIP + 3):
+        turn = START + 2 * pi * (frame - 1) / CLIP
+        made.location = AROUND * np.cos(turn), AROUND * np.sin(turn), RADIUS
+        made.rotation_quaternion = turned
+        for path in ("location", "rotation_quaternion"):
+            made.keyframe_insert(path, frame=frame)
+        turned = Quaternion((-np.cos(turn), -np.sin(turn), 0), 2 * pi / CLIP * AROUND / RADIUS) @ turned
+
+
+def ground():
+    """A plane on which the ball rolls: nobody sees it, but it throws the rug's colour back at the ball."""
+    bpy.ops.mesh.primitive_plane_add(size=3)
+    paint((0.02, 0.04, 0.11), 0.8)
+    plane = bpy.context.object
+    plane.name, plane.visible_camera, plane.visible_shadow = "Ground", False, False
+
+
+def lamp(name, kind, place, target, **settings):
+    """A lamp that shines from a place at a target, and whose light splats keep from meshes."""
+    made = bpy.data.objects.new(name, bpy.data.lights.new(name, kind))
+    made.location, made.rotation_euler = place, (Vector(target) - Vector(place)).to_track_quat('-Z', 'Y').to_euler()
+    for setting, value in settings.items():
+        setattr(made.data, setting, value)
+    made.fastgs.splat_shadow = True
+    bpy.context.scene.collection.objects.link(made)
+
+
+def film(scene):
+    """The camera with its lens, focused on the dancer, and the shutter."""
+    camera = scene.camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
+    camera.location, camera.data.lens = EYE, 27
+    camera.rotation_euler = Vector(TARGET - EYE).to_track_quat('-Z', 'Y').to_euler()
+    camera.data.dof.use_dof, camera.data.dof.focus_distance, camera.data.dof.aperture_fstop = True, float(np.hypot(*EYE[:2])), 0.8
+    scene.collection.objects.link(camera)
+    scene.render.use_motion_blur, scene.render.motion_blur_shutter = True, 1.5
+    scene.fastgs.shadow_bias, scene.fastgs.shadow_samples = 0.03, 12
+    scene.fastgs.blur_steps, scene.fastgs.lens_samples = 8, 16
 
 
 def paint(colour, roughness):
