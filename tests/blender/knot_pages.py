@@ -82,3 +82,20 @@ def opened(browser, page):
     for tab in tabs:
         assert tab.requests == []
         tab.close()
+
+
+def state(tab):
+    """What the page says it is: waiting, ready, failed."""
+    return tab.evaluate("document.body.dataset.state")
+
+
+def sentence(tab):
+    """What its notice says."""
+    return tab.evaluate("document.querySelector('#notice').innerText")
+
+
+def visible(tab, name):
+    """Whether an element is seen."""
+    return tab.evaluate(f"""(() => {{ const e = document.getElementById("{name}"); const style = e && getComputedStyle(e);
+        return Boolean(e) && style.display !== "none" &&
+            style.visibility === "visible" && Number(style.opacity) > 0 && e.getClientRects().length > 0; }})()""")

@@ -3,20 +3,15 @@
 from __future__ import annotations
 
 import math
-import re
 
 import numpy as np
 import pytest
 from conftest import IN_BOTH
 from held_runs import until
-from knot_pages import SIZE, looking
+from knot_pages import SIZE, looking, sentence, state, visible
 
 PHONE = (390, 844)
 SHOWN = "({frame: fastgs.clock.frame, playing: fastgs.clock.playing, ...fastgs.orbit.goal, taken: fastgs.orbit.taken})"
-
-
-def state(tab):
-    return tab.evaluate("document.body.dataset.state")
 
 
 def shown(tab):
@@ -28,16 +23,6 @@ def arrived(tab):
     """The same, once the picture is there: a hand takes hold of what it sees."""
     tab.until("!fastgs.orbit.busy")
     return shown(tab)
-
-
-def sentence(tab):
-    return tab.evaluate("document.querySelector('#notice').innerText")
-
-
-def visible(tab, name):
-    return tab.evaluate(f"""(() => {{ const e = document.getElementById("{name}"); const style = e && getComputedStyle(e);
-        return Boolean(e) && style.display !== "none" &&
-            style.visibility === "visible" && Number(style.opacity) > 0 && e.getClientRects().length > 0; }})()""")
 
 
 def bright(picture):
@@ -315,62 +300,6 @@ def test_without_javascript_the_poster_and_a_sentence_are_seen(browser, page):
     assert bright(tab.screenshot())
     text = tab.call("Runtime.evaluate", expression="document.body.innerText", returnByValue=True)["result"]["value"]
     assert "JavaScript" in text and "not started" not in text
-    tab.close()
-
-
-def cut(pattern):
-    """Cuts a page off behind what the pattern finds."""
-    return lambda text: text[:re.search(pattern, text).end() + 100]
-
-
-def other(pattern, letters):
-    """Overwrites what comes behind what the pattern finds."""
-    def change(text):
-        at = re.search(pattern, text).end()
-        return text[:at] + letters + text[at + len(letters):]
-
-    return change
-
-
-@pytest.mark.parametrize("change", [
-    cut('id="model-0">'), cut('id="model_worker">'), cut('id="scene">'), other('id="model-0">.{2000}', "AAAAAAAA"),
-    other('id="model-0">.{2000}', "****"), other('id="scene">', "[[[["), other('"version":', "7"), other('"opening":', "null,     "),
-    other('"parts":', "null,       "), other('"cameras":', "[],      "), other(r'(?s)id="model_worker">.{9000}', "~"),
-])
-def test_a_damaged_page_ends_in_a_sentence(opened, page, change):
-    page("damaged.html", change=change)
-    tab = opened("damaged.html")
-    assert state(tab) == "failed"
-    assert sentence(tab).startswith("This page is damaged") and sentence(tab).endswith(".")
-    assert visible(tab, "poster") and not visible(tab, "bar")
-
-
-@IN_BOTH
-def test_a_page_without_its_style_says_so(opened, page):
-    page("damaged.html", change=other("--ink:", "~"))
-    tab = opened("damaged.html")
-    assert state(tab) == "failed" and sentence(tab).startswith("This page is damaged: its style")
-
-
-@IN_BOTH
-@pytest.mark.parametrize("last", [
-    "</style>", 'content="default-src', "<title>A knot", "--ink:", "<body><p id", "player has not", 'id="poster" alt="'])
-def test_a_page_that_ends_before_its_player_says_so(browser, page, last):
-    page("damaged.html", change=lambda text: text[:text.index(last) + len(last)])
-    tab = browser.open("damaged.html", SIZE)
-    tab.evaluate("document.getAnimations().forEach((each) => each.finish())")
-    said = tab.evaluate("document.body.innerText + getComputedStyle(document.body, '::before').content")
-    assert "incomplete" in said or "player has not" in said
-    tab.close()
-
-
-@pytest.mark.parametrize("change", [cut('<script type="module" async>'), other('<script type="module" async>', "broken(")])
-def test_a_page_whose_player_is_damaged_says_so_without_it(browser, page, change):
-    page("damaged.html", change=change)
-    tab = browser.open("damaged.html", SIZE)
-    tab.evaluate("document.getAnimations().forEach((each) => each.finish())")
-    assert visible(tab, "unstarted") and visible(tab, "poster")
-    assert "incomplete or damaged" in tab.evaluate("document.getElementById('unstarted').innerText")
     tab.close()
 
 
