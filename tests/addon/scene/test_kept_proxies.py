@@ -54,6 +54,8 @@ REFUSED = {
 @pytest.mark.parametrize("hidden", [False, True])
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_what_would_break_a_proxy_is_undone_and_told(splats, where, told, module, name, hidden):
+    if bpy.app.version < (4, 3, 0) and name in ("Convert > Point Cloud", "Convert > Grease Pencil"):
+        pytest.skip("Blender 4.2 has no such conversion")
     module("scene.proxies").hide(hidden)  # as viewports do that draw the splats themselves
     before, points, count = where(), in_world(splats), len(bpy.data.objects)
     select(splats)

@@ -171,8 +171,13 @@ def asset(what, **options):
     assert (obj.asset_data is not None) == (what == "mark")
 
 
+NOT_IN_4_2 = {"Transform > Shear", "Transform > Push/Pull", "Transform > To Sphere", "Transform > Bend", "Clean Up > Remove All Materials"}
+
+
 @pytest.mark.parametrize("name", [*MOVED, *KEPT])
 def test_what_operators_do_to_a_mesh_they_do_to_splats(splats, where, told, name):
+    if bpy.app.version < (4, 3, 0) and name in NOT_IN_4_2:
+        pytest.skip("Blender 4.2 has no such operator, or it ends Blender as a module, with a plain mesh too")
     before, after = as_a_mesh(splats, where, (MOVED | KEPT)[name])
     moved = np.abs(after - before).max()
     assert moved > 1e-3 if name in MOVED else moved < 2e-5
@@ -274,6 +279,7 @@ def rows() -> dict[str, str]:
     return {name: what for name, what in found if name != "Operator"}
 
 
+@pytest.mark.skipif(bpy.app.version < (4, 3, 0), reason="Blender 4.2 has other entries")
 def test_each_entry_of_the_object_menu_has_a_row(splats):
     missing = {name: operator for name, operator in object_menus.entries().items() if name not in rows() and name not in FOR_OTHERS}
     assert not missing
