@@ -51,8 +51,9 @@ def repeated(filled: str) -> str:
     def lines(found) -> str:
         return "".join(re.sub(rf"\b{found[1]}\b", f"{k}u", found[3]) for k in range(int(found[2])))
 
-    while "//each" in filled:
-        filled = re.sub(r"(?m)^ *//each (\w+) (\d+)\n((?:(?! *//each).*\n)*?) *//end\n", lines, filled)
+    count = 1
+    while count:
+        filled, count = re.subn(r"(?m)^ *//each (\w+) (\d+)\n((?:(?! *//each).*\n)*?) *//end\n", lines, filled)
     return filled
 
 
