@@ -38,9 +38,10 @@ def refused(read: Callable[[], object], size: int, what: str) -> bool:
             with warnings.catch_warnings():
                 warnings.simplefilter("ignore", LossWarning)
                 read()
-            return False
         except FastGSError:
             peaks.append(tracemalloc.get_traced_memory()[1])
+        else:
+            return False
         finally:
             tracemalloc.stop()
         if peaks[-1] <= TIMES * size + SLACK:
