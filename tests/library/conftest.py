@@ -46,6 +46,16 @@ def make_model():
     return random_model
 
 
+@pytest.fixture
+def few_pictures(monkeypatch):
+    """Compression takes the same steps with a few pictures of the model, for tests that do not ask how good it looks then."""
+    from fastgs_blender.formats import rate, thinning
+
+    for module, names in ((rate, ("SHOTS", "JUDGED")), (thinning, ("SENSED", "REFITS", "FINAL"))):
+        for name in names:
+            monkeypatch.setattr(module, name, getattr(module, name) // 8)
+
+
 @pytest.fixture(scope="session")
 def shared_data() -> Path:
     """The folder of real inputs beside the repository; tests that need it are skipped where it is absent."""

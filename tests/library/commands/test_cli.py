@@ -297,7 +297,7 @@ def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
     assert "1 of 30" in json.loads(run("convert", "--json", path, tmp_path / "b.safetensors")[1])["losses"][0]
 
 
-def test_convert_shows_how_far_it_is(run, file, tmp_path):
+def test_convert_shows_how_far_it_is(run, file, tmp_path, few_pictures):
     code, out, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1")
     assert code == 0 and "small.safetensors: " in out and "compressing: 100/100 steps (100 %)" in told
     code, _, told = run("convert", file, tmp_path / "f_##.ply", "--at", "0:2")

@@ -84,7 +84,7 @@ def test_files_say_how_a_decoder_is_given_its_features_only_where_it_is_not_the_
 
 
 @pytest.mark.parametrize("compress", ["fine", "small"])
-def test_compressed_files_say_it_too(rng, make_model, tmp_path, compress):
+def test_compressed_files_say_it_too(rng, make_model, tmp_path, few_pictures, compress):
     with pytest.warns(fg.LossWarning):
         fg.save(make_model(rng, 30, appearance="stg"), tmp_path / "m.safetensors", compress)
     assert fg.load(tmp_path / "m.safetensors").appearance.decode == "premultiplied"
