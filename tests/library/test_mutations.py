@@ -52,8 +52,8 @@ def test_a_good_reader_passes(tmp_path):
 
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize(("how", "said"), [
-    (fail_with(KeyError("n")), "KeyError"), (fail_with(FastGSError("")), "one printable sentence"),
-    (lambda: os.kill(os.getpid(), signal.SIGSEGV), "ended the process with -11"), (lambda: os._exit(3), "ended the process with 3"),
+    (fail_with(KeyError("n")), "KeyError"), (fail_with(FastGSError("")), "printable"),
+    (lambda: os.kill(os.getpid(), signal.SIGSEGV), "process.*-11"), (lambda: os._exit(3), "process.* 3"),
     (lambda: warnings.warn("hm", stacklevel=1), "UserWarning"), (grab, "more memory"),
 ])
 def test_failures_are_seen_and_named(tmp_path, how, said):
@@ -65,7 +65,7 @@ def test_failures_are_seen_and_named(tmp_path, how, said):
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize(("how", "limit", "said"), [
     (lambda: time.sleep(1000), ("SILENCE", 1), "waited for 1 s"),
-    (lambda: [None for _ in iter(int, 1)], ("CPU", 0.2), r"ended the process with -\d+")])
+    (lambda: [None for _ in iter(int, 1)], ("CPU", 0.2), r"process.*-\d+")])
 def test_waiting_and_endless_work_are_ended(tmp_path, monkeypatch, how, limit, said):
     monkeypatch.setattr(mutations, *limit)
     monkeypatch.setattr(mutations, "MOST", 1)

@@ -117,7 +117,7 @@ def test_a_device_that_fails_is_a_sentence(monkeypatch):
             raise DeviceError("it is lost")
 
     monkeypatch.setitem(backends.loaded, "lost", Lost())
-    with pytest.raises(fg.FastGSError, match="the GPU fails .it is lost.; use the backend cpu"):
+    with pytest.raises(fg.FastGSError, match="GPU.*it is lost.*cpu"):
         ours.render(ours.tensors(model), model, camera, T, backend="lost")
 
 

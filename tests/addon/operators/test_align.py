@@ -80,7 +80,7 @@ def test_no_camera_is_below_a_floor_that_nothing_shows(scene, capture, capfd):
     np.testing.assert_allclose(np.array(capture[1].matrix_world)[2, :3], [0, 0, 1], atol=1e-5)
     heights = [obj.matrix_world.translation.z for obj in scene.objects if obj.type == 'CAMERA']
     assert min(heights) == pytest.approx(0, abs=1e-4) and max(heights) == pytest.approx(0.7, abs=1e-4)
-    assert "no splats that show where the floor is" in capfd.readouterr().out
+    assert "where the floor" in capfd.readouterr().out
 
 
 def test_scale_from_two_points(scene, capture):
@@ -105,7 +105,7 @@ def test_scale_from_two_cameras_of_the_capture(scene, capture):
     assert bpy.ops.fastgs.set_scale(distance=4) == {'FINISHED'}
     np.testing.assert_allclose(capture[0].matrix_world.to_scale(), 1, atol=1e-6)
     select(cameras)
-    with pytest.raises(RuntimeError, match="the capture's cameras do not count"):
+    with pytest.raises(RuntimeError, match="capture's cameras"):
         bpy.ops.fastgs.set_ground()
 
 

@@ -184,7 +184,7 @@ def test_changing_topology_is_refused_with_name_and_frame(bake, add, scene, targ
     else:
         key(cube, "hide_viewport", [False] * 6 + [True] * 6)
     scene.frame_set(1)
-    with pytest.raises(RuntimeError, match=f'"Lava Lamp" has .*{sentence}.* on frame [67]'):
+    with pytest.raises(RuntimeError, match=f'"Lava Lamp".*{sentence}.*frame [67]'):
         bake(cube)
     assert not Path(target).exists() and scene.frame_current == 1
     assert len(scene.objects) == 1
@@ -196,7 +196,7 @@ def test_existing_files_and_bad_folders(bake, add, target):
     with pytest.raises(RuntimeError, match="exists already"):
         bake(cube)
     assert Path(target).read_text() == "mine"
-    with pytest.raises(RuntimeError, match="folder does not exist"):
+    with pytest.raises(RuntimeError, match="folder.*exist"):
         bake(cube, filepath=str(Path(target).parent / "no" / "x.safetensors"))
     with pytest.raises(RuntimeError, match="comes before"):
         bake(cube, frame_start=5, frame_end=4, overwrite=True)
@@ -206,7 +206,7 @@ def test_existing_files_and_bad_folders(bake, add, target):
 def test_an_object_with_a_broken_transform_is_named(bake, add, target):
     cube = add("cube")
     cube.name, cube.location.x = "Lost", float("nan")
-    with pytest.raises(RuntimeError, match='"Lost" has a transform that holds no finite numbers on frame 1'):
+    with pytest.raises(RuntimeError, match='"Lost".*transform.*finite.*frame 1'):
         bake(cube)
     assert not Path(target).exists()
 
@@ -240,7 +240,7 @@ def test_fast_motion_is_sampled_more_often_by_itself(bake, add, fg, capfd):
         cube.location.z = np.sin(2 * np.pi * 5 * quarter / (4 * FRAMES - 4))
         cube.keyframe_insert("location", frame=1 + quarter / 4)
     bake(cube, samples_per_frame=2)
-    assert "Warning: The motion is followed to" in capfd.readouterr().out
+    assert "Warning: The motion" in capfd.readouterr().out
     model = bake(cube, overwrite=True)
     assert "Warning" not in capfd.readouterr().out
     for frame in (1.5, 4, 7.25, 9.5):

@@ -44,7 +44,7 @@ def test_bullet_time_slows_and_goes_on_without_a_jump(scene, module, moving_spla
     np.testing.assert_allclose(rate[frames[:-1] >= 31], 1, atol=1e-3)
     if ramp:
         assert np.abs(np.diff(rate)).max() < 0.06
-    with pytest.raises(RuntimeError, match="animated Time Shift already"):
+    with pytest.raises(RuntimeError, match="animated.*Time Shift"):
         bpy.ops.fastgs.bullet_time(start=40, length=5)
 
 
@@ -90,7 +90,7 @@ def test_following_a_region(scene, module, moving_splat, add_camera, how):
     keys = module("scene.cameras.keys").curves(empty).find("location", index=0).keyframe_points
     assert [point.co.x for point in keys] == list(range(1, 42)) and not camera.animation_data
     scene.cursor.location = (0, 0, 90)
-    with pytest.raises(RuntimeError, match="no visible Gaussians"):
+    with pytest.raises(RuntimeError, match="visible.*3D cursor"):
         bpy.ops.fastgs.follow_region(radius=1.0)
 
 

@@ -141,7 +141,7 @@ def test_a_dolly_zoom_keeps_the_subject(bpy, scene, cube, add_camera):
     rows = track(scene, camera)
     np.testing.assert_allclose(rows[:, 6] / (2 - rows[:, 1]), 40 / 6, rtol=5e-3)
     np.testing.assert_allclose(rows[-1, :3], (1, -1, 3), atol=1e-4)
-    with pytest.raises(RuntimeError, match="reach its subject"):
+    with pytest.raises(RuntimeError, match="dolly zoom"):
         bpy.ops.fastgs.camera_dolly(distance=30.0, zoom=True)
 
 
@@ -200,7 +200,7 @@ def test_a_range_too_long_is_refused_at_once(bpy, scene, add_camera, operator):
     add_camera()
     before = len(bpy.data.actions)
     for first, last in ((-2**31, 2**31 - 1), (1, 50_001), (5, 5), (5, 4)):
-        with pytest.raises(RuntimeError, match="at most 50000|must come after") as error:
+        with pytest.raises(RuntimeError, match="50000|after") as error:
             getattr(bpy.ops.fastgs, operator)(frame_start=first, frame_end=last)
         assert len(str(error.value).strip().splitlines()) == 1
     assert len(bpy.data.actions) == before
@@ -208,7 +208,7 @@ def test_a_range_too_long_is_refused_at_once(bpy, scene, add_camera, operator):
 
 def test_an_export_too_long_is_refused_at_once(bpy, scene, add_camera, tmp_path):
     scene.camera = add_camera()
-    with pytest.raises(RuntimeError, match="at most 50000"):
+    with pytest.raises(RuntimeError, match="50000"):
         bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "a.json"), use_range=True, frame_start=-2**31, frame_end=2**31 - 1)
 
 
@@ -238,7 +238,7 @@ def test_an_orbit_that_leaves_the_filmed_side_says_so_and_offers_the_arc_that_do
     bpy.context.view_layer.update()
     bpy.ops.fastgs.camera_orbit(turns=1.0, spacing=5)
     said = capfd.readouterr().out
-    assert "From frame 17 on the orbit leaves" in said and "110 degrees" in said and "Stay on Filmed Side" in said
+    assert "frame 17 on" in said and "110 degrees" in said and "Stay on Filmed Side" in said
     for turns in (1.0, -1.0):
         camera.animation_data_clear()
         bpy.ops.fastgs.camera_orbit(turns=turns, spacing=5, filmed_side=True)

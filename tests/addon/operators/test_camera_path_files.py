@@ -86,7 +86,7 @@ def test_cameras_as_blender_makes_them_lose_nothing(scene, add_camera, tmp_path,
         for kind in ('NERFSTUDIO', 'INSTANT_NGP', 'SUPERSPLAT'):
             assert bpy.ops.fastgs.export_camera_path(filepath=str(tmp_path / "p.json"), format=kind) == {'FINISHED'}
     told = [line for line in capfd.readouterr().out.splitlines() if "Warning" in line]
-    assert len(told) == 3 and all("no size of pictures" in line for line in told), "SuperSplat's only"
+    assert len(told) == 3 and all("size of pictures" in line for line in told), "SuperSplat's only"
 
 
 def test_the_file_holds_what_the_engine_renders(scene, flight, now, tmp_path, camera_paths, module):
@@ -116,7 +116,7 @@ def test_selected_cameras_keep_their_names(scene, add_camera, now, tmp_path, cam
     for name, camera in zip(path.names, path.cameras, strict=True):
         assert (camera.width, camera.fx) == (wanted[name].width, pytest.approx(wanted[name].fx))
     bpy.ops.object.select_all(action='DESELECT')
-    with pytest.raises(RuntimeError, match="No camera is selected"):
+    with pytest.raises(RuntimeError, match="camera.*selected"):
         bpy.ops.fastgs.export_camera_path(filepath=str(where), format=kind, selected=True)
 
 

@@ -298,8 +298,8 @@ def test_what_is_no_capture_leaves_nothing(tmp_path, capture):
         assert path.name in str(error.value) and len(str(error.value).strip().splitlines()) == 1
     folder, _, _ = capture()
     (folder / "cameras.json").unlink()
-    with pytest.raises(RuntimeError, match="where its cameras are"):
+    with pytest.raises(RuntimeError, match="where.*cameras"):
         bpy.ops.fastgs.import_capture(filepath=str(folder))
-    with pytest.raises(RuntimeError, match="No capture was chosen"):
+    with pytest.raises(RuntimeError, match="capture.*chosen"):
         bpy.ops.fastgs.import_capture()
     assert {kind: len(getattr(bpy.data, kind)) for kind in before} == before

@@ -151,10 +151,10 @@ def test_filming_goes_on_where_it_stopped(moving_scene, tmp_path):
 def test_nothing_is_left_when_filming_fails(moving_scene, tmp_path):
     before = everything()
     (tmp_path / "file").write_text("")
-    with pytest.raises(RuntimeError, match="cannot be written there"):
+    with pytest.raises(RuntimeError, match="written.*folder"):
         bpy.ops.fastgs.capture_scene(out=str(tmp_path / "file" / "film"), count=3, samples=1, **SIZE)
     assert everything() == before
-    with pytest.raises(RuntimeError, match="Fewer than two cameras"):
+    with pytest.raises(RuntimeError, match="two cameras"):
         bpy.ops.fastgs.capture_scene(out=str(tmp_path), cameras='ALL')
 
 

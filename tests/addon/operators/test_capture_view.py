@@ -106,8 +106,8 @@ def test_looking_through_a_capture_camera(startup, filmed, model_file, capfd):
 
     plain = replace(filmed, surroundings=replace(filmed.surroundings, cameras=()))
     bpy.ops.import_scene.fastgs(filepath=model_file(plain, "plain.safetensors"), view='CAMERA')
-    assert "does not say where cameras" in capfd.readouterr().out and startup.camera.name == "a"
-    with pytest.raises(RuntimeError, match="does not say where cameras"):
+    assert "where cameras" in capfd.readouterr().out and startup.camera.name == "a"
+    with pytest.raises(RuntimeError, match="where.*cameras"):
         bpy.ops.fastgs.look_through()
 
 
@@ -123,7 +123,7 @@ def test_the_startup_cube_is_hidden_where_it_is_nobodys_and_in_the_way(startup, 
     bpy.context.view_layer.update()
     bpy.ops.import_scene.fastgs(filepath=model_file(filmed))
     assert cube.hide_get() is cube.hide_render is (change in (None, "between"))
-    assert ("stood in the capture, or before it, and is hidden" in capfd.readouterr().out) is cube.hide_get()
+    assert ("is hidden" in capfd.readouterr().out) is cube.hide_get()
 
 
 def test_the_view_is_stored_in_the_file(startup, fg, filmed, model_file):
@@ -145,7 +145,7 @@ def test_the_view_is_stored_in_the_file(startup, fg, filmed, model_file):
         assert np.allclose(now, before, atol=1e-3)
     fg.save(filmed, path.replace("safetensors", "ply"))
     bpy.ops.import_scene.fastgs(filepath=path.replace("safetensors", "ply"))
-    with bpy.context.temp_override(area=area), pytest.raises(RuntimeError, match="convert the model"):
+    with bpy.context.temp_override(area=area), pytest.raises(RuntimeError, match="fastgs convert"):
         bpy.ops.fastgs.store_view()
 
 

@@ -157,7 +157,7 @@ def test_delete_for_good_writes_what_is_left(obj, fg, seen, scene, tmp_path):
     before = Path(obj.fastgs.filepath).read_bytes()
     add_box(obj, 0.82, 2.0)  # reached by those that begin to the right of -0.1, in the last frame at the latest
     target = tmp_path / "left.safetensors"
-    with pytest.raises(RuntimeError, match="choose another name"):
+    with pytest.raises(RuntimeError, match="another name"):
         bpy.ops.fastgs.delete_for_good(filepath=obj.fastgs.filepath)
     assert bpy.ops.fastgs.delete_for_good(filepath=str(target)) == {'FINISHED'}
     assert [round(float(x), 1) for x in fg.load(target).position[:, 0]] == row_between(-0.11, 1)
@@ -216,7 +216,7 @@ def test_spheres_meshes_and_soft_edges(obj, seen, scene, render):
     place = [alpha[round((x + 2) / 4 * 64 - 0.5)] for x in (0.1, 0.3, 0.5)]
     assert place[0] > place[1] + 0.1 > place[2] + 0.2
     block.select_set(False)
-    with pytest.raises(RuntimeError, match="No mesh is selected"):
+    with pytest.raises(RuntimeError, match="mesh.*selected"):
         bpy.ops.fastgs.add_crop_box(shape='MESH')
 
 

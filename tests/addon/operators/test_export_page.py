@@ -184,10 +184,10 @@ def test_errors_are_sentences_and_nothing_is_written(scene, pictures, moving, ma
         with pytest.raises(RuntimeError, match=text):
             bpy.ops.fastgs.export_page(filepath=str(page), **options)
     pictures.data.type = 'PANO'
-    with pytest.raises(RuntimeError, match="Perspective or Orthographic"):
+    with pytest.raises(RuntimeError, match="Perspective.*Orthographic"):
         bpy.ops.fastgs.export_page(filepath=str(page))
     pictures.data.type, bpy.context.object.hide_render = 'PERSP', True
-    with pytest.raises(RuntimeError, match="no splats are shown|No splats are shown"):
+    with pytest.raises(RuntimeError, match="splats.*shown"):
         bpy.ops.fastgs.export_page(filepath=str(page))
     assert not page.exists()
 

@@ -128,7 +128,7 @@ def test_errors_are_sentences(scene, make_model, model_file, tmp_path):
             bpy.ops.export_scene.fastgs(**options)
     obj.fastgs.before = 'HIDE'
     obj.fastgs.start_frame = 100
-    with pytest.raises(RuntimeError, match="nothing is shown|Nothing is shown"):
+    with pytest.raises(RuntimeError, match="(?i)nothing.*shown"):
         bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "a.ply"))
     assert not list(Path(tmp_path).glob("a.*"))
 

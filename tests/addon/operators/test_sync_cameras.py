@@ -42,9 +42,9 @@ def test_the_clocks_are_compared_and_written(module, capture, scene):
 
 def test_what_cannot_be_compared_is_told(capture, scene, tmp_path):
     scene.fastgs.training.capture = ""
-    with pytest.raises(RuntimeError, match="[Nn]o capture is chosen"):
+    with pytest.raises(RuntimeError, match="capture.*chosen"):
         bpy.ops.fastgs.sync_cameras()
-    with pytest.raises(RuntimeError, match="there is no such capture"):
+    with pytest.raises(RuntimeError, match="no such capture"):
         bpy.ops.fastgs.sync_cameras(capture=str(tmp_path / "gone"))
     for view in range(3):
         first = (capture / f"cam{view}" / "0001.png").read_bytes()

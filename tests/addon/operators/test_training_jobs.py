@@ -135,7 +135,7 @@ def test_killed_and_resumed(jobs, toy, tmp_path, small_disk, barrier):
     barrier.release()
     toy.rename(toy.with_name("gone"))
     jobs.start(job)
-    assert "there is no such capture" in told(end_of(jobs, job))
+    assert "no such capture" in told(end_of(jobs, job))
     toy.with_name("gone").rename(toy)
     jobs.start(job)
     assert end_of(jobs, job).kind == 'FINISHED'
@@ -290,9 +290,9 @@ def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, m
     assert shown["fastgs_job"] == anew.id and len([obj for obj in scene.objects if "fastgs_job" in obj]) == 2, "the object follows its file"
 
     scene.fastgs.training.existing = 'RESUME'
-    with pytest.raises(RuntimeError, match="nothing is left to continue"):
+    with pytest.raises(RuntimeError, match="nothing.*continue"):
         press()
-    with pytest.raises(RuntimeError, match="holds a finished run"):
+    with pytest.raises(RuntimeError, match="finished"):
         bpy.ops.fastgs.train(capture=str(toy), out=str(tmp_path / "run"), wait=False)
     assert [job.id for job in jobs.all()] == [beside.id, anew.id]
 
@@ -305,7 +305,7 @@ def test_going_on_with_a_run_takes_its_own_capture_and_options(jobs, module, toy
     job, = jobs.all()
     held_process(jobs, job, barrier)
     scene.fastgs.training.existing = 'RESUME'
-    with pytest.raises(RuntimeError, match="has not ended"):
+    with pytest.raises(RuntimeError, match="not ended"):
         press()
     jobs.ask(job, 'PAUSE')
     until(lambda: not jobs._file(job.id, ".stop").exists())
@@ -320,7 +320,7 @@ def test_going_on_with_a_run_takes_its_own_capture_and_options(jobs, module, toy
 
 def test_what_goes_wrong_is_one_sentence(jobs, toy, scene, tmp_path):
     for options, words in (
-            (dict(capture=str(tmp_path / "lost")), "there is no such capture"), (dict(capture=""), "No capture is chosen"),
+            (dict(capture=str(tmp_path / "lost")), "no such capture"), (dict(capture=""), "capture.*chosen"),
             (dict(capture=str(tmp_path)), "no capture"), (dict(source='CAMERAS'), "background"),
             (dict(source='SCENE'), "fastgs.capture_scene")):
         with pytest.raises(RuntimeError, match=words) as told:
@@ -341,7 +341,7 @@ def test_a_python_without_what_training_needs_says_so(module, scene, toy, tmp_pa
         with pytest.raises(RuntimeError, match="numba|numpy"):
             bpy.ops.fastgs.train(capture=str(toy), out=str(tmp_path / "run"))
         preferences.training_python = str(tmp_path / "nowhere")
-        with pytest.raises(RuntimeError, match="There is no Python"):
+        with pytest.raises(RuntimeError, match="no Python"):
             bpy.ops.fastgs.test_training_python()
     finally:
         preferences.training_choice, preferences.training_python = 'AUTO', ""

@@ -87,7 +87,7 @@ def test_missing_pictures_are_named(module, capture, scene, tmp_path):
     scene.frame_start, scene.frame_end = 1, 3
     bpy.ops.fastgs.import_capture(filepath=str(capture / "cameras.json"))
     (capture / "Right" / "0011.png").unlink()
-    with pytest.raises(module("fastgs_blender").FastGSError, match="0011.png: the picture of frame 2 is missing"):
+    with pytest.raises(module("fastgs_blender").FastGSError, match="0011.png.*frame 2.*missing"):
         module("scene.training.plates").write_capture(bpy.context, tmp_path / "made")
 
 
@@ -161,7 +161,7 @@ def test_estimates_grow_with_the_work(module):
 def test_disk_and_memory_are_looked_at(module, tmp_path, monkeypatch):
     checks = module("fastgs_blender.jobs.checks")
     monkeypatch.setattr(checks.shutil, "disk_usage", lambda path: SimpleNamespace(free=10 << 20))
-    with pytest.raises(module("fastgs_blender").FastGSError, match="10 MB are free"):
+    with pytest.raises(module("fastgs_blender").FastGSError, match="10 MB"):
         checks.before_start(str(tmp_path / "new" / "run"))
     monkeypatch.setattr(checks.shutil, "disk_usage", lambda path: SimpleNamespace(free=10 << 30))
     monkeypatch.setattr(checks, "available_memory", lambda: 2**31)

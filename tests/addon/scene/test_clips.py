@@ -95,7 +95,7 @@ def test_split_shows_the_same_as_before(module, shown, scene, speed):
         parts = [shown_frames(frame, 24.0, snapshot.retime_of(obj, frame), clip) for obj in (shown, second)]
         assert parts[frame >= 6] == [(pytest.approx(f), 1.0) for f, _ in whole] and parts[frame < 6] == []
     scene.frame_set(30)
-    with pytest.raises(RuntimeError, match="cannot be split here"):
+    with pytest.raises(RuntimeError, match="split here"):
         bpy.ops.fastgs.split()
 
 
@@ -121,7 +121,7 @@ def test_sound_runs_with_the_clip(shown, scene, tmp_path):
     assert (strip.frame_final_start, strip.frame_final_end) == (11, 21)
     assert strip.frame_start == pytest.approx(7)  # its first four frames lie before the clip
     assert scene.sync_mode == 'AUDIO_SYNC'
-    with pytest.raises(RuntimeError, match="cannot be found"):
+    with pytest.raises(RuntimeError, match="none.wav.*found"):
         bpy.ops.fastgs.add_sound(filepath=str(tmp_path / "none.wav"))
     shown.fastgs.speed = -1
     with pytest.raises(RuntimeError, match="forwards"):

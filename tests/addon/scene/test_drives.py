@@ -27,7 +27,7 @@ def test_a_sequence_may_be_a_drive(module):
 
 
 def test_a_capture_on_a_drive_is_asked_for_by_its_name(module, fg):
-    with pytest.raises(fg.FastGSError, match=r"D:\\: there is no such capture"):
+    with pytest.raises(fg.FastGSError, match=r"D:\\.*no such capture"):
         module("scene.training.installation").capture_path("D:\\")
 
 

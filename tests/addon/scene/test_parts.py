@@ -73,7 +73,7 @@ def test_a_part_has_what_the_object_had_and_stands_still_in_it(whole, choose, wh
 
 def test_what_cannot_be_a_part_is_said(whole, choose, make_model, model_file):
     choose(whole, np.ones(200, bool))
-    with pytest.raises(RuntimeError, match="nothing would be left"):
+    with pytest.raises(RuntimeError, match="nothing.*select"):
         bpy.ops.fastgs.separate()
     whole.select_set(True)
     bpy.ops.import_scene.fastgs(filepath=model_file(make_model(200, seed=9), "other.safetensors"))
@@ -81,7 +81,7 @@ def test_what_cannot_be_a_part_is_said(whole, choose, make_model, model_file):
     bpy.context.object.select_set(True)
     for obj in bpy.context.scene.objects:
         obj.select_set(obj.type == 'MESH')
-    with pytest.raises(RuntimeError, match="shows another file"):
+    with pytest.raises(RuntimeError, match="another file"):
         bpy.ops.fastgs.join_parts()
     twin = whole.copy()
     bpy.context.scene.collection.objects.link(twin)
@@ -131,7 +131,7 @@ def test_another_scene_in_the_file_loses_nothing(whole, choose, fg, make_model, 
     part, path = bpy.context.object, module("scene.objects").abspath(whole)
     before, first = part.fastgs.part, fg.load(path)
     fg.save(make_model(120, position=np.random.default_rng(1).uniform(20, 21, (120, 3)), axes="RFU"), path)
-    with pytest.raises(RuntimeError, match="the file now holds 120"):
+    with pytest.raises(RuntimeError, match="file.*120"):
         bpy.ops.fastgs.reload()
     assert part.fastgs.part == before
     fg.save(first, path)
@@ -147,6 +147,6 @@ def test_a_part_of_another_version_of_the_file_says_so(whole, choose, fg, make_m
     fg.save(make_model(120, axes="RFU"), path)
     module("scene.objects").reload(path)
     assert not module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get()).load()[0]
-    assert "chosen of 200 Gaussians, and the file now holds 120" in module("scene.objects").error_of(part)
+    assert all(number in module("scene.objects").error_of(part) for number in ("200", "120"))
     assert bpy.ops.fastgs.show_whole() == {'FINISHED'} and part.fastgs.gaussian_count == 120
     assert len(module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get()).load()[0]) == 1

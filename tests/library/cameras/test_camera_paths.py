@@ -258,14 +258,14 @@ def test_supersplat_project(tmp_path):
     ({"camera_type": "fisheye", "camera_path": []}, "fisheye"),
     ({"camera_path": [{"camera_to_world": [0] * 16, "fov": 50}]}, "rotation"),
     ({"camera_path": [{"camera_to_world": np.eye(4).ravel().tolist(), "fov": 180}]}, "field of view"),
-    ({"path": [{"R": [0, 0, 0, 0], "T": [0, 0, 0], "fov": 50}]}, "must not be 0"),
+    ({"path": [{"R": [0, 0, 0, 0], "T": [0, 0, 0], "fov": 50}]}, "not be 0"),
     ({"path": [{"R": [0, 0, 0, 1], "T": [0, 0, 0], "fov": 50}], "spline_order": 9}, "spline_order"),
     ({"path": [{"R": [0, 0, 0, 1], "T": [0, 0, 0], "fov": 50, "timestamp": t} for t in (1, 1e12, 2e12)]}, "too long"),
-    ({"animTracks": []}, "no camera animation"), (splat_settings(keyframes={"times": [0], "values": {}}), "position"),
+    ({"animTracks": []}, "animation"), (splat_settings(keyframes={"times": [0], "values": {}}), "position"),
     (splat_settings(keyframes={"times": [0], "values": {"position": [0, 0, 0], "target": [0, 0, 0], "fov": [50]}}), "nowhere"),
-    (splat_settings(duration=1e7), "too long"), ({"poseSets": []}, "no camera keyframes"),
+    (splat_settings(duration=1e7), "too long"), ({"poseSets": []}, "keyframes"),
     ({"format": "fast-gs camera path", "version": 2}, "newer"), ({"format": "fast-gs camera path", "frames": [{}]}, "finite number"),
-    ({"something": 1}, "no camera path known here"), ([], "no camera path known here"), (3, "no camera path known here"),
+    ({"something": 1}, "no camera path"), ([], "no camera path"), (3, "no camera path"),
 ])
 def test_what_is_wrong_is_said_in_one_sentence(tmp_path, values, words):
     file = write(tmp_path, values)
@@ -305,7 +305,7 @@ def test_colmap_reads_ours_and_we_read_its_text(rng, tmp_path):
 
 
 def test_a_colmap_model_is_no_file(rng, tmp_path):
-    with pytest.raises(fg.FastGSError, match="c.json: a COLMAP model is a folder"):
+    with pytest.raises(fg.FastGSError, match="c.json.*COLMAP.*folder"):
         save_path(random_path(rng, 2, True, False), tmp_path / "c.json", "colmap")
     assert not list(tmp_path.iterdir())
 

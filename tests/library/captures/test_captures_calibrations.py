@@ -107,7 +107,7 @@ def test_chapters_of_one_film_are_joined(tmp_path, beside):
     assert [(image.path.stem, image.frame) for image in view] == [
         (name, frame) for name in ("GOPR0011", "GP010011", "GP020011") for frame in range(RIG.frames)]
     (folders[0] / "GX020010.MP4").unlink()
-    assert any("GX030010.MP4: the chapter 2 of this film is not there" in text for text in problems(open_capture(tmp_path)))
+    assert any("GX030010.MP4: the chapter 2" in text for text in problems(open_capture(tmp_path)))
 
 
 @pytest.mark.parametrize("make", [tiny_captures.aniposelib, tiny_captures.opencv_files, tiny_captures.immersive, tiny_captures.qualisys])
@@ -187,16 +187,16 @@ def test_names(name, film, fits, tmp_path):
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    (("matrix = [[300.25", "matrix = [[-1.0"), "focal lengths above 0"),
-    (("rotation = [", "rotation = [9.0, "), "its rotation must be 3 finite numbers"),
-    (("translation = [", "translation = ['x', "), "its translation must be finite numbers"),
+    (("matrix = [[300.25", "matrix = [[-1.0"), "focal length"),
+    (("rotation = [", "rotation = [9.0, "), "rotation.*3 finite"),
+    (("translation = [", "translation = ['x', "), "translation.*finite"),
     (("translation", "place"), "lacks translation"),
     (("size = [320", "size = [240"), "calibrated for 240 x 240"),
-    (('name = "cam02"', 'name = "cam01"'), "camera cam01 is there twice"),
-    (('name = "cam02"', "name = 3.5"), "its name must be a text or a number"),
+    (('name = "cam02"', 'name = "cam01"'), "cam01.*twice"),
+    (('name = "cam02"', "name = 3.5"), "name.*number"),
     (("distortions = [", "distortions = [0, 0, 0, 0, 0, 0, 0, 0, 0.1, "), "has 14 coefficients, and 8 are known"),
-    (("[cam_1]", "[cam_1"), "it is not TOML, or is cut short"),
-    (("[metadata]", '[metadata]\nunits = "inches"'), "must be m, cm or mm, not 'inches'"),
+    (("[cam_1]", "[cam_1"), "TOML"),
+    (("[metadata]", '[metadata]\nunits = "inches"'), "m, cm or mm.*'inches'"),
 ])
 def test_damaged_toml_is_one_sentence(tmp_path, change, sentence):
     films(tmp_path)
@@ -209,10 +209,10 @@ def test_damaged_toml_is_one_sentence(tmp_path, change, sentence):
 
 
 @pytest.mark.parametrize(("text", "sentence"), [
-    ("a: [1, 2", "never closed"), ("a: 1\n- 2", "mixes a list"), ("a: {b 1}", "no colon"),
-    ("a:\n  rows: 2\n  cols: 2\n  data: [1, 2, 3]", "2 x 2 numbers, and has 3"),
-    ("a: [1 2, ]]", "after its bracket"), ("just text", "no name before a colon"), ("a: 1\n   b: 2", "does not belong"),
-    ("a: " + "[" * 99 + "]" * 99, "nested too deeply")])
+    ("a: [1, 2", "never closed"), ("a: 1\n- 2", "mixes"), ("a: {b 1}", "no colon"),
+    ("a:\n  rows: 2\n  cols: 2\n  data: [1, 2, 3]", "2 x 2 .*3"),
+    ("a: [1 2, ]]", "bracket"), ("just text", "name.*colon"), ("a: 1\n   b: 2", "belong"),
+    ("a: " + "[" * 99 + "]" * 99, "nested")])
 def test_damaged_storage_is_one_sentence(tmp_path, text, sentence):
     (tmp_path / "a.yml").write_text(f"%YAML:1.0\n---\n{text}\n")
     with pytest.raises(FastGSError, match=sentence):

@@ -212,7 +212,7 @@ def workspace(tmp_path):
     ("cameras.bin", lambda b: b[:12] + struct.pack("<i", 7) + b[16:], "model number 7"), ("images.bin", lambda b: b[:40], "cut short"),
     ("images.bin", lambda b: struct.pack("<Q", 10**9) + b[8:], "cut short"), ("images.bin", lambda b: struct.pack("<Q", 0), "no picture"),
     ("images.bin", lambda b: b[:12] + struct.pack("<d", np.nan) + b[20:], "finite"),
-    ("images.bin", lambda b: b.replace(b"cam00", b"../00"), "no name of a picture"), ("points3D.bin", lambda b: b[:-4], "cut short"),
+    ("images.bin", lambda b: b.replace(b"cam00", b"../00"), "name.*picture"), ("points3D.bin", lambda b: b[:-4], "cut short"),
     ("points3D.bin", lambda b: struct.pack("<Q", 2**63) + b[8:], "cut short"), ("cameras.bin", lambda b: b"", "cut short"),
     ("cameras.txt", lambda b: b.replace(b"PINHOLE", b"THIN_PRISM_FISHEYE"), "THIN_PRISM_FISHEYE"),
     ("cameras.txt", lambda b: b.replace(b"150.0", b"nan"), "finite"), ("cameras.txt", lambda b: b.replace(b" 59.0", b""), "3 parameters"),

@@ -113,8 +113,8 @@ def test_options(capture_folder):
     assert beyond.clip == part.clip and any(note.startswith("the part asked for goes on behind") for note in beyond.notes)
     every_second = open_capture(capture_folder, frames=slice(0, None, 2))
     assert every_second.clip == fg.Clip(2, 12.5, 1) and not open_capture(capture_folder, held_out=[]).held_out
-    for options, words in (({"held_out": ["cam9"]}, "no view 'cam9'"), ({"held_out": NAMES}, "nothing is left"), ({"scale": 0}, "scale"),
-                           ({"scale": 1.5}, "scale"), ({"frames": slice(7, 9)}, "none of its 3 frames"), ({"layout": "x"}, "no layout"),
+    for options, words in (({"held_out": ["cam9"]}, "no view 'cam9'"), ({"held_out": NAMES}, "held out.*train"), ({"scale": 0}, "scale"),
+                           ({"scale": 1.5}, "scale"), ({"frames": slice(7, 9)}, "none.*3 frames"), ({"layout": "x"}, "no layout"),
                            ({"frames": slice(None, None, -1)}, "forwards"), ({"layout": "n3v"}, "poses_bounds.npy")):
         with pytest.raises(fg.FastGSError, match=words):
             open_capture(capture_folder, **options)
@@ -322,7 +322,7 @@ def test_folders_without_poses(tmp_path, tmp_path_factory):
     RIG.check(posed, tmp_path_factory.mktemp("cache"), NAMES)
     two = with_cameras(capture, {name: cameras[name] for name in NAMES[:2]})
     assert two.views == NAMES[:2] and "left eye" in two.notes[-1]
-    with pytest.raises(fg.FastGSError, match="none of its views"):
+    with pytest.raises(fg.FastGSError, match="none.*views"):
         with_cameras(capture, {})
 
 

@@ -69,7 +69,7 @@ def test_what_the_lens_does_not_see_is_masked(scene, tmp_path_factory):
 def test_video_without_calibration_is_left_out(scene):
     (scene / "models.json").write_text(json.dumps(models()[:2]), "utf-8")
     capture = load(scene)
-    assert capture.views == NAMES[:2] and "without calibration in models.json: camera_0009" in capture.notes[0]
+    assert capture.views == NAMES[:2] and "models.json: camera_0009" in capture.notes[0]
 
 
 def test_known_exposures_are_evened(scene):
@@ -79,16 +79,16 @@ def test_known_exposures_are_evened(scene):
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    (lambda m: m[0].pop("position"), "camera_0001: it lacks position"),
-    (lambda m: m[0].update(orientation=[0, 1]), "orientation must be 3 finite numbers"),
-    (lambda m: m[0].update(focal_length="long"), "focal_length must be a finite number"),
+    (lambda m: m[0].pop("position"), "camera_0001.*position"),
+    (lambda m: m[0].update(orientation=[0, 1]), "orientation.*3 finite"),
+    (lambda m: m[0].update(focal_length="long"), "focal_length.*finite"),
     (lambda m: m[0].update(focal_length=-5), "above 0"),
-    (lambda m: m[0].update(projection_type="mirror"), "'mirror' is not known"),
+    (lambda m: m[0].update(projection_type="mirror"), "'mirror'"),
     (lambda m: m[0].update(radial_distortion=[0.1]), "radial_distortion"),
     (lambda m: m[0].update(width=0), "width"),
-    (lambda m: m[1].update(name="camera_0001"), "two cameras are called"),
-    (lambda m: m.clear(), "list of at least 1"),
-    (lambda m: [entry.update(name=entry["name"] + "x") for entry in m], "none of its cameras"),
+    (lambda m: m[1].update(name="camera_0001"), "two cameras"),
+    (lambda m: m.clear(), "at least 1"),
+    (lambda m: [entry.update(name=entry["name"] + "x") for entry in m], "none.*cameras"),
 ])
 def test_damaged_models_are_one_sentence(scene, change, sentence):
     entries = models()

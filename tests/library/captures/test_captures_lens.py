@@ -149,11 +149,11 @@ def test_same_bytes_for_any_number_of_threads(rng):
 
 
 def test_wrong_lenses_are_said_plainly():
-    with pytest.raises(FastGSError, match="'anamorphic' is not known"):
+    with pytest.raises(FastGSError, match="'anamorphic'"):
         Lens("anamorphic")
     with pytest.raises(FastGSError, match="no p1"):
         Lens.named("fisheye", {"k1": 0.1, "p1": 0.2})
-    with pytest.raises(FastGSError, match="must be numbers"):
+    with pytest.raises(FastGSError, match="numbers"):
         Lens.named("opencv", {"k1": "much"})
     with pytest.raises(FastGSError, match="finite"):
         Lens.named("opencv", {"k1": float("nan")})

@@ -84,16 +84,16 @@ def test_missing_picture_is_told(scene):
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    (lambda m: m.pop("w2c"), "it lacks w2c"),
-    (lambda m: m["k"].pop(), "its k has 2 frames, its fn 3"),
+    (lambda m: m.pop("w2c"), "lacks w2c"),
+    (lambda m: m["k"].pop(), "k .*2.*fn.*3"),
     (lambda m: m["k"][1].pop(), "frame 1 has 2 k, 3 w2c, 3 fn, 3 cam_id"),
-    (lambda m: m["fn"][0].__setitem__(0, "../../secret.jpg"), "must name a picture in ims/"),
-    (lambda m: m["fn"][0].__setitem__(0, 5), "must name a picture in ims/"),
-    (lambda m: m["w2c"][0].__setitem__(0, np.zeros((4, 4)).tolist()), "frame 0, camera 1: its w2c must be a rotation"),
+    (lambda m: m["fn"][0].__setitem__(0, "../../secret.jpg"), "picture.*ims/"),
+    (lambda m: m["fn"][0].__setitem__(0, 5), "picture.*ims/"),
+    (lambda m: m["w2c"][0].__setitem__(0, np.zeros((4, 4)).tolist()), "frame 0, camera 1.*w2c.*rotation"),
     (lambda m: m["k"][0].__setitem__(0, np.zeros((3, 3)).tolist()), "its k"),
-    (lambda m: m["cam_id"][0].__setitem__(0, 2), "camera 2 is there twice"),
+    (lambda m: m["cam_id"][0].__setitem__(0, 2), "camera 2 .*twice"),
     (lambda m: m.update(w="wide"), "width"),
-    (lambda m: m.update(fn=[]), "its fn must be a list"),
+    (lambda m: m.update(fn=[]), "fn .*list"),
 ])
 def test_damaged_description_is_one_sentence(scene, change, sentence):
     values = meta(TRAIN)
@@ -106,14 +106,14 @@ def test_damaged_description_is_one_sentence(scene, change, sentence):
 
 def test_other_damage(scene):
     write(scene, test=meta((0, 3)))
-    with pytest.raises(FastGSError, match="the cameras 1 are in train_meta.json too"):
+    with pytest.raises(FastGSError, match="cameras 1 .*train_meta.json"):
         load(scene)
     write(scene)
     (scene / "init_pt_cld.npz").write_bytes(b"PK")
-    with pytest.raises(FastGSError, match=r"init_pt_cld.npz: it cannot be read .*'data' is wanted"):
+    with pytest.raises(FastGSError, match=r"init_pt_cld.npz.*'data'"):
         load(scene)
     np.savez(scene / "init_pt_cld.npz", points=np.zeros((3, 7)))
-    with pytest.raises(FastGSError, match="cannot be read .*'data' is wanted"):
+    with pytest.raises(FastGSError, match="cannot be read .*'data'"):
         load(scene)
     (scene / "train_meta.json").write_text("{", "utf-8")
     with pytest.raises(FastGSError, match="not JSON"):

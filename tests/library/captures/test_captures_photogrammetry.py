@@ -61,7 +61,7 @@ def test_metashape_beside_films(tmp_path, tmp_path_factory):
     metashape(tmp_path, 0.4, turn, np.array([10.0, 20, 3]), "{name}.jpg", [*NAMES, "IMG_0001", "IMG_0002"])
     capture = open_capture(tmp_path)
     assert (capture.layout, capture.axes, capture.clip.fps) == ("Metashape", "RFU", 50)
-    assert "left out for want of a film: IMG_0001, IMG_0002" in capture.notes[0]
+    assert ": IMG_0001, IMG_0002" in capture.notes[0]
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES, WORLD)
 
 
@@ -128,8 +128,8 @@ def test_metadata_of_realityscan(tmp_path, tmp_path_factory):
     for place in (tmp_path, tmp_path / "cam02.xmp"):
         SQUARE.check(open_capture(place), tmp_path_factory.mktemp("cache"), NAMES, WORLD)
     text = (tmp_path / "cam01.xmp").read_text()
-    for old, new, words in (("brown3t2", "tilted", "DistortionModel tilted is not known"), ('Skew="0"', 'Skew="1"', "Skew"),
-                            ("FocalLength35mm", "FocalLength", "no FocalLength35mm"), (f'"{300 / 320 * 36}"', '"x"', "must be a number")):
+    for old, new, words in (("brown3t2", "tilted", "DistortionModel tilted"), ('Skew="0"', 'Skew="1"', "Skew"),
+                            ("FocalLength35mm", "FocalLength", "no FocalLength35mm"), (f'"{300 / 320 * 36}"', '"x"', "number.*'x'")):
         (tmp_path / "cam01.xmp").write_text(text.replace(old, new))
         with pytest.raises(FastGSError, match=words):
             open_capture(tmp_path)

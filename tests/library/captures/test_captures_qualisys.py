@@ -91,18 +91,18 @@ def test_folders_of_their_own(scene, tmp_path_factory):
 
 
 @pytest.mark.parametrize(("text", "sentence"), [
-    (calibration(camera(0))[:-60], "not XML, or is cut short"),
-    (calibration(), "no cameras with a serial"),
-    (calibration(camera(0), camera(0)), "camera 26580 is there twice"),
-    (calibration(camera(0, serial="9")), "no video of any of its cameras"),
+    (calibration(camera(0))[:-60], "not XML"),
+    (calibration(), "serial"),
+    (calibration(camera(0), camera(0)), "26580.*twice"),
+    (calibration(camera(0, serial="9")), "no video"),
     (calibration(camera(0, without=("transform",))), "camera 26580 lacks <transform>"),
-    (calibration(camera(0, transform_r11="5")), "its transform must be a rotation"),
-    (calibration(camera(0, transform_x="far")), "its x must be a number, not 'far'"),
-    (calibration(camera(0, intrinsic_focalLengthU=None)), "lacks focalLengthU in <intrinsic>"),
+    (calibration(camera(0, transform_r11="5")), "transform.*rotation"),
+    (calibration(camera(0, transform_x="far")), "x .*number.*'far'"),
+    (calibration(camera(0, intrinsic_focalLengthU=None)), "focalLengthU.*<intrinsic>"),
     (calibration(camera(0, intrinsic_focalLengthU="0")), "focal"),
-    (calibration(camera(0, intrinsic_centerPointV="nan")), "its centerPointV must be a finite number"),
+    (calibration(camera(0, intrinsic_centerPointV="nan")), "centerPointV.*finite"),
     (calibration(camera(0, fov_video_right=LEFT + 239, fov_video_bottom=TOP + 319)), "calibrated for 240 x 320"),
-    ("<!DOCTYPE x [<!ENTITY a 'b'>]>" + calibration(camera(0)).partition("\n")[2], "declares types or entities"),
+    ("<!DOCTYPE x [<!ENTITY a 'b'>]>" + calibration(camera(0)).partition("\n")[2], "entities"),
 ])
 def test_damaged_calibration_is_one_sentence(scene, text, sentence):
     (scene / "Calib.qca.txt").write_text(text, "utf-8")
@@ -113,7 +113,7 @@ def test_damaged_calibration_is_one_sentence(scene, text, sentence):
 
 def test_ambiguous_files_are_refused(scene):
     RIG.write_video(scene / "again_26581.mp4", 0)
-    with pytest.raises(FastGSError, match="both called like camera 26581"):
+    with pytest.raises(FastGSError, match="26581"):
         load(scene)
     (scene / "copy.txt").write_text(calibration(camera(0)), "utf-8")
     with pytest.raises(FastGSError, match="2 Qualisys calibrations"):

@@ -174,7 +174,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(capture, cache, monkeypat
         written(path, array)
 
     monkeypatch.setattr(framefiles, "write", write)
-    with pytest.raises(FastGSError, match="the disk is full") as error:
+    with pytest.raises(FastGSError, match="disk.*full") as error:
         store.fill(threads=1)
     assert str(cache) in str(error.value) and "FASTGS_CACHE_DIR" in str(error.value)
     monkeypatch.undo()
@@ -186,7 +186,7 @@ def test_a_full_disk_is_one_sentence_and_loses_nothing(capture, cache, monkeypat
 def test_a_disk_that_will_not_do_is_told_before_decoding(capture, cache, monkeypatch):
     store = FrameStore(capture, folder=cache)
     monkeypatch.setattr(shutil, "disk_usage", lambda path: shutil._ntuple_diskusage(10**9, 10**9, 10**6))
-    with pytest.raises(FastGSError, match=r"need 2\d\d MB there, and 1 MB are free"):
+    with pytest.raises(FastGSError, match=r"2\d\d MB.*1 MB"):
         store.fill()
     assert not list(cache.glob("*.frame"))
 

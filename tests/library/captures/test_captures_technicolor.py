@@ -79,11 +79,11 @@ def test_corrupt_picture_of_birthday_is_left_out(tmp_path):
 @pytest.mark.parametrize(("row", "sentence"), [
     ("300 163 118.5 1 0 1 0 0 0 0 0", "line 2 must be 12 finite numbers"),
     ("300 163 118.5 1 0 0.1 0.2 1 0 0 0 0 0 0", "distorted pictures"),
-    ("300 163 x 1 0 1 0 0 0 0 0 0", "line 2 must be a number, not 'x'"),
-    ("300 163 118.5 1 0 0 0 0 0 0 0 0", "quaternion must not be 0"),
+    ("300 163 x 1 0 1 0 0 0 0 0 0", "line 2 .*'x'"),
+    ("300 163 118.5 1 0 0 0 0 0 0 0 0", "quaternion.* 0"),
     ("300 163 118.5 1.5 0 1 0 0 0 0 0 0", "aspect of 1.5"),
     ("-300 163 118.5 1 0 1 0 0 0 0 0 0", "above 0"),
-    ("nan 163 118.5 1 0 1 0 0 0 0 0 0", "line 2 must be a finite number"),
+    ("nan 163 118.5 1 0 1 0 0 0 0 0 0", "line 2 .*finite"),
 ])
 def test_damaged_cameras_are_one_sentence(scene, row, sentence):
     write_cameras(scene, c0=row)
@@ -95,11 +95,11 @@ def test_damaged_cameras_are_one_sentence(scene, row, sentence):
 def test_other_damage(scene):
     file = scene / "cameras_parameters.txt"
     file.write_text(file.read_text("utf-8").split("\n", 5)[0], "utf-8")
-    with pytest.raises(FastGSError, match="no cameras in it"):
+    with pytest.raises(FastGSError, match="no cameras"):
         load(scene)
     write_cameras(scene)
     file.write_text("\n".join(file.read_text("utf-8").splitlines()[:9]), "utf-8")
-    with pytest.raises(FastGSError, match="8 cameras, but there are pictures of camera 10"):
+    with pytest.raises(FastGSError, match="8 cameras.*camera 10"):
         load(scene)
     RIG.write_picture(scene / "Train_undist_00051_00.png", 0, 0)
     with pytest.raises(FastGSError, match="several scenes"):

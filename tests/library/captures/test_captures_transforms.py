@@ -170,7 +170,7 @@ def test_missing_pictures_are_told(tmp_path):
     assert not problems(capture) and len(capture) == 8 and any("cam01 lacks the frame 1" in note for note in capture.notes)
     for entry in frames:
         (tmp_path / entry["file_path"]).unlink(missing_ok=True)
-    with pytest.raises(fg.FastGSError, match="none of its 9 pictures"):
+    with pytest.raises(fg.FastGSError, match="none.*9 pictures"):
         open_capture(tmp_path)
 
 
@@ -182,7 +182,7 @@ def test_missing_pictures_are_told(tmp_path):
     (lambda v: v["frames"][1].update(transform_matrix=np.diag([1, 1, -1, 1.0]).tolist()), "rotation"),
     (lambda v: v["frames"][1]["transform_matrix"][0].__setitem__(3, float("nan")), "finite"), (lambda v: v.update(w=10**9), "between"),
     (lambda v: v.update(camera_model="EQUIRECTANGULAR"), "EQUIRECTANGULAR"), (lambda v: v.update(k4=0.5), "k4"),
-    (lambda v: v["frames"][2].update(time=0.5), "has no time"), (lambda v: v.update(cx="left"), "principal point"),
+    (lambda v: v["frames"][2].update(time=0.5), "no time"), (lambda v: v.update(cx="left"), "principal point"),
     (lambda v: v.pop("fl_x"), "focal"),
 ])
 def test_what_is_wrong_is_one_sentence(tmp_path, change, words):

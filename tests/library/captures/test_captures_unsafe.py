@@ -50,12 +50,12 @@ def test_pipes_and_devices_as_pictures(endless, tmp_path):
     for file in ("cam00/0001.png", "masks/cam00/0001.png"):
         endless(tmp_path / file)
     capture = open_capture(tmp_path)
-    assert sum("a pipe or a device" in note for note in capture.notes) == 1 and not problems(capture)
-    refused("a pipe or a device", pictures.read, Source(tmp_path / "cam00/0001.png"))
+    assert sum("pipe" in note for note in capture.notes) == 1 and not problems(capture)
+    refused("pipe.*device", pictures.read, Source(tmp_path / "cam00/0001.png"))
     for name in ("a.exr", "a.mp4"):
         endless(tmp_path / name)
-    refused("a pipe or a device", probe.facts, Source(tmp_path / "a.exr"))
-    refused("a pipe or a device", video.index, tmp_path / "a.mp4")
+    refused("pipe.*device", probe.facts, Source(tmp_path / "a.exr"))
+    refused("pipe.*device", video.index, tmp_path / "a.mp4")
 
 
 @pytest.mark.parametrize(("layout", "name"), [
@@ -74,8 +74,8 @@ def test_pipes_and_devices_as_descriptions(endless, tmp_path, layout, name):
 
 def test_pipes_and_devices_as_camera_files(endless, tmp_path):
     endless(tmp_path / "a.json")
-    refused("a pipe or a device", load_cameras, tmp_path / "a.json")
-    refused("a pipe or a device", load_path, tmp_path / "a.json")
+    refused("pipe.*device", load_cameras, tmp_path / "a.json")
+    refused("pipe.*device", load_path, tmp_path / "a.json")
 
 
 @pytest.mark.parametrize("name", [3, ["a"], "", None, {"a": 1}])
@@ -84,7 +84,7 @@ def test_names_that_are_no_texts(tmp_path, name):
     tiny_captures.immersive(tmp_path)
     models = json.loads((tmp_path / "models.json").read_text())
     (tmp_path / "models.json").write_text(json.dumps([models[0], models[1] | {"name": name}]))
-    refused("camera 1: its name must be a text", open_capture, tmp_path)
+    refused("camera 1.*name.*text", open_capture, tmp_path)
 
 
 @pytest.mark.parametrize("stated", ["/", ".", "..", "a/..", "a" * 5000, "\0"])
@@ -117,7 +117,7 @@ def test_entities_in_another_encoding(tmp_path):
     body = file.read_text().partition("\n")[2]
     entities = "".join(f'<!ENTITY e{i} "{f"&e{i - 1};" * 10 if i else "x" * 50}">' for i in range(9))
     file.write_bytes(f'<?xml version="1.0" encoding="UTF-16"?>\n<!DOCTYPE c [{entities}]>{body}'.encode("utf-16"))
-    refused("declares types or entities", open_capture, file, layout="qualisys")
+    refused("entities", open_capture, file, layout="qualisys")
 
 
 def test_a_folder_without_pictures_that_is_called_like_a_video(tmp_path):
@@ -130,16 +130,16 @@ def test_a_folder_without_pictures_that_is_called_like_a_video(tmp_path):
 def test_numbers_far_apart(tmp_path):
     tiny_captures.n3v(tmp_path / "n3v")
     tiny_captures.picture(tmp_path / "n3v/cam00/images/999999999.png", 0, 0)
-    refused("most of them missing", open_capture, tmp_path / "n3v")
+    refused("missing", open_capture, tmp_path / "n3v")
     tiny_captures.technicolor(tmp_path / "technicolor")
     tiny_captures.picture(tmp_path / "technicolor/Fabien_undist_999999999_00.png", 0, 0)
-    refused("more than the 1000000 pictures", open_capture, tmp_path / "technicolor")
+    refused("1000000 pictures", open_capture, tmp_path / "technicolor")
     tiny_captures.colmap_frames(tmp_path / "colmap")
     (tmp_path / "colmap/colmap_1").rename(tmp_path / "colmap/colmap_99999999999999999999")
-    refused("more than the 1000000 pictures", open_capture, tmp_path / "colmap", layout="colmap")
+    refused("1000000 pictures", open_capture, tmp_path / "colmap", layout="colmap")
     tiny_captures.qualisys(tmp_path / "qualisys")
     tiny_captures.picture(tmp_path / "qualisys/film 1000/999999999.png", 0, 0)
-    refused("most of them missing", open_capture, tmp_path / "qualisys")
+    refused("missing", open_capture, tmp_path / "qualisys")
 
 
 def test_a_view_with_an_escape_sequence(tmp_path):
@@ -215,7 +215,7 @@ def test_a_video_without_a_known_codec(tmp_path):
     tiny_captures.video(tmp_path / "a.mp4")
     data = (tmp_path / "a.mp4").read_bytes()
     (tmp_path / "b.mp4").write_bytes(data.replace(b"avc1\0\0\0\0", b"zzzz\0\0\0\0").replace(b"avcC", b"zzzC"))
-    refused("b.mp4: .*(no decoder is known|cannot be read)", video.index, tmp_path / "b.mp4")
+    refused("b.mp4: .*(decoder|cannot be read)", video.index, tmp_path / "b.mp4")
 
 
 def test_a_few_keyframes_make_no_endless_path(tmp_path):
@@ -223,7 +223,7 @@ def test_a_few_keyframes_make_no_endless_path(tmp_path):
     file = tmp_path / "a.json"
     file.write_text(json.dumps({"path": keys, "loop": True}))
     assert file.stat().st_size < 200
-    refused("at most 43200 are made from keyframes", load_path, file, Picture(fps=24))
+    refused("43200.*keyframes", load_path, file, Picture(fps=24))
     keys[1]["timestamp"] = 1700
     file.write_text(json.dumps({"path": keys, "loop": True}))
     assert len(load_path(file, Picture(fps=24))) == 40801
@@ -231,7 +231,7 @@ def test_a_few_keyframes_make_no_endless_path(tmp_path):
 
 def test_the_two_kinds_of_cameras_json(tmp_path):
     tiny_captures.fastgs(tmp_path)
-    refused("describes a fast-gs capture", load_cameras, tmp_path / "cameras.json")
+    refused("fast-gs capture", load_cameras, tmp_path / "cameras.json")
     (tmp_path / "other").mkdir()
     entry = {"id": 0, "img_name": "a", "width": 8, "height": 8, "position": [0, 0, 0], "rotation": np.eye(3).tolist(), "fx": 9, "fy": 9}
     (tmp_path / "other/cameras.json").write_text(json.dumps([entry]))
@@ -262,8 +262,8 @@ def test_colmap_and_panoptic_ask_no_other_machine(stated, tmp_path):
     values = json.loads(file.read_text())
     values["fn"][0][0] = stated
     file.write_text(json.dumps(values))
-    refused("fn must name a picture", open_capture, tmp_path / "p")
+    refused("fn .*picture", open_capture, tmp_path / "p")
     (tmp_path / "c").mkdir()
     (tmp_path / "c" / "cameras.txt").write_text("1 PINHOLE 8 8 8 8 4 4\n")
     (tmp_path / "c" / "images.txt").write_text(f"1 1 0 0 0 0 0 0 1 {stated}\n\n")
-    refused("no name of a picture", load_path, tmp_path / "c")
+    refused("name.*picture", load_path, tmp_path / "c")

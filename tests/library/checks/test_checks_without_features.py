@@ -49,8 +49,8 @@ def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
     (path / "cameras.json").write_text(json.dumps(values), "utf-8")
     found = told(calibration.run(looked(path)))
     assert found.keys() == {"cam00", "cam01"}, "a few per cent are usual"
-    assert "its focal lengths are 300 and 360 pixels and its optical axis is 19% of the picture off its middle" in found["cam00"]
-    assert "Undoing the lens of cam01 leaves" in found["cam01"]
+    assert all(part in found["cam00"] for part in ("focal lengths", "300 and 360 pixels", "optical axis", "19%"))
+    assert "lens of cam01" in found["cam01"]
 
 
 def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path, looked):
@@ -105,7 +105,7 @@ def test_a_lens_that_bends_more_than_its_calibration_is_seen_near_the_borders(tm
             patch.setattr(Matches, "good_points", lambda self, bad: np.zeros((0, 3)))
             section = calibration.run(looked(path, Matches(each, {}, pairs, 2)))
         assert views <= set(told(section)) and "cam00" not in told(section)
-        assert all("its lens is not what the calibration says" in told(section)[view] for view in views)
+        assert all("lens" in told(section)[view] and "calibration" in told(section)[view] for view in views)
 
 
 def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
@@ -116,7 +116,7 @@ def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
     found.__dict__["matches"] = Matches(each, {(0, view): found.samples[view][0] for view in VIEWS}, pairs, 2)
     section = exposure.run(found)
     (sentence,) = {finding.sentence for finding in section.findings}
-    assert sentence == "cam01 (blue x 0.85) has another white balance than the others." and set(told(section)) == {"cam01"}
+    assert sentence.startswith("cam01 (blue x 0.85)") and "white balance" in sentence and set(told(section)) == {"cam01"}
     assert np.array(section.measures["channels"]["cam01"]) == pytest.approx([1, 1, 0.78], abs=0.02)
 
 

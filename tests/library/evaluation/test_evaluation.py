@@ -248,7 +248,7 @@ def test_a_model_of_a_part_of_the_capture(truth):
     assert result["average"]["psnr"] is None or result["average"]["psnr"] > 100
     beyond = evaluate(part, capture, store, frames=[3, 7], lpips=False)
     assert [row["t"] for row in beyond["rows"]] == pytest.approx([-1 / 3, 1]), "frames that are asked for are measured beyond the clip too"
-    with pytest.raises(fg.FastGSError, match="none of the frames"):
+    with pytest.raises(fg.FastGSError, match="none.*frames"):
         evaluate(part, capture, store, frames=[8], lpips=False)
     every_second = replace(whole, clip=fg.Clip(4, 12.0, 1))
     assert [row["t"] for row in evaluate(every_second, capture, store, frames=[0, 2, 3], lpips=False)["rows"]] == [0, 0.25, 0.375]
@@ -263,7 +263,7 @@ def test_equal_frames_have_no_finite_psnr_and_the_average_says_so(truth):
     result = evaluate(empty, capture, store, lpips=False)
     assert [row["psnr"] is None for row in result["rows"]] == [True, True, False, False]
     assert result["average"]["psnr"] == pytest.approx(np.mean([row["psnr"] for row in result["rows"][2:]]))
-    assert any("2 frames equal the truth" in note for note in result["notes"])
+    assert any("2 frames equal" in note for note in result["notes"])
 
 
 def test_few_frames_are_in_memory(truth, tmp_path):
@@ -290,7 +290,7 @@ def test_few_frames_are_in_memory(truth, tmp_path):
 def test_captures_without_poses_are_refused(truth):
     capture, store, _ = toy_capture(FRAMES, 2)
     capture.shots[:] = [replace(shot, camera=None) for shot in capture.shots]
-    with pytest.raises(fg.FastGSError, match="where its cameras are"):
+    with pytest.raises(fg.FastGSError, match="where.*cameras"):
         evaluate(truth, capture, store, lpips=False)
 
 
@@ -339,7 +339,7 @@ def save_trunk(torch, tmp_path):
 
 
 def test_lpips_uses_the_weights_that_are_there(lpips_package, tmp_path, rng):
-    with pytest.raises(Unavailable, match="weights are not on this machine.*alexnet-owt"):
+    with pytest.raises(Unavailable, match="weights.*alexnet-owt"):
         Lpips()
     save_trunk(lpips_package, tmp_path)
     picture, truth = rng.random((2, 70, 66, 3))
@@ -358,7 +358,7 @@ def test_damaged_weights_and_absent_packages_are_told(lpips_package, tmp_path, m
     with pytest.raises(Unavailable, match=r"lacks 0\.weight"):
         Lpips()
     monkeypatch.setitem(sys.modules, "lpips", None)
-    with pytest.raises(Unavailable, match="package lpips is not installed"):
+    with pytest.raises(Unavailable, match="lpips.*installed"):
         Lpips()
 
 

@@ -117,7 +117,7 @@ def test_equal_pictures_have_no_dissimilarity():
 def test_pictures_that_cannot_be_compared():
     picture, truth = waves()
     for measure in (metrics.psnr, metrics.dssim1, metrics.dssim1_skimage, metrics.dssim2):
-        with pytest.raises(FastGSError, match="cannot be compared"):
+        with pytest.raises(FastGSError, match="compared"):
             measure(picture[:-1], truth)
     with pytest.raises(FastGSError, match="at least 7 x 7"):
         metrics.dssim2(picture[:6], truth[:6])

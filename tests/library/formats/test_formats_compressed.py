@@ -321,10 +321,10 @@ def test_what_cannot_be_compressed_is_said(tmp_path):
     with pytest.raises(fg.FastGSError, match=r"m\.ply.*compressed variant"):
         fg.save(model, tmp_path / "m.ply", compress="fine")
     for level in (0, "tiny", [1]):
-        with pytest.raises(fg.FastGSError, match=r"m\.safetensors: a file is compressed fine or small, or by a loss from 0.001 to 10 dB"):
+        with pytest.raises(fg.FastGSError, match=r"m\.safetensors.*fine.*small.*0.001 to 10 dB"):
             fg.save(model, tmp_path / "m.safetensors", compress=level)
     model.position[2] = np.nan
-    with pytest.warns(fg.LossWarning, match="1 Gaussians whose numbers are not finite; its numbers are quantised"):
+    with pytest.warns(fg.LossWarning, match="1 Gaussians.*not finite.*quantised"):
         fg.save(model, tmp_path / "m.safetensors", compress="fine")
     assert len(fg.load(tmp_path / "m.safetensors")) == 4
 

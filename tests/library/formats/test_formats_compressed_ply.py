@@ -137,14 +137,14 @@ def test_broken_files(rng, tmp_path):
 
     chunk, vertex = chunk_table(rng, 2, True), vertex_table(rng, 300)
     rest = {f"f_rest_{i}": np.zeros(300, np.uint8) for i in range(9)}
-    refused(file(chunk, vertex, rest)[:-1], "cut short: its header promises 300")
-    refused(file(chunk, vertex, dict(list(rest.items())[:8])), "fit no degree")
-    refused(file(chunk_table(rng, 3, True), vertex), "do not go with 3 chunks")
-    refused(file({k: v for k, v in chunk.items() if k != "max_z"}, vertex), "lacks the columns max_z")
-    refused(file({k: v for k, v in chunk.items() if k != "max_r"}, vertex), "some but not all bounds")
+    refused(file(chunk, vertex, rest)[:-1], "header.* 300")
+    refused(file(chunk, vertex, dict(list(rest.items())[:8])), "degree")
+    refused(file(chunk_table(rng, 3, True), vertex), "3 chunks")
+    refused(file({k: v for k, v in chunk.items() if k != "max_z"}, vertex), "columns max_z")
+    refused(file({k: v for k, v in chunk.items() if k != "max_r"}, vertex), "not all bounds")
     refused(file(chunk, vertex, kind="ascii"), "in text")
     refused(file(chunk, vertex, comments=["SplatRenderMode: 2dgs"]), "2DGS")
-    refused(file(chunk, {k: v for k, v in vertex.items() if k != "packed_scale"}), "lacks the columns packed_scale")
+    refused(file(chunk, {k: v for k, v in vertex.items() if k != "packed_scale"}), "columns packed_scale")
 
 
 def test_what_is_cut_is_said(rng, make_model, tmp_path):

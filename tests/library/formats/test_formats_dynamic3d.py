@@ -60,16 +60,16 @@ def test_colours_of_all_frames(tmp_path, rng):
     np.savez(path, **a)
     fg.save(fg.load(path), tmp_path / "a.safetensors")
     assert_shows(fg.load(tmp_path / "a.safetensors"), 2.5 / T, **shown(a, 2.5))
-    with pytest.warns(fg.LossWarning, match="which change in time"):
+    with pytest.warns(fg.LossWarning, match="change in time"):
         fg.save(fg.load(path), tmp_path / "a.splatv")
     still = fg.freeze(fg.load(path), 2.5 / T)
     np.testing.assert_allclose(still.features, shown(a, 2.5)["colour"], atol=1e-6)
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    ({"means3D": np.zeros((T, 3))}, "not frames x Gaussians"), ({"unnorm_rotations": np.zeros((T, N, 3))}, "array unnorm_rotations has"),
+    ({"means3D": np.zeros((T, 3))}, "frames x Gaussians"), ({"unnorm_rotations": np.zeros((T, N, 3))}, "array unnorm_rotations has"),
     ({"rgb_colors": np.zeros((T - 1, N, 3))}, "array rgb_colors has"), ({"logit_opacities": np.zeros((T, N, 1))}, "change in time"),
-    ({"rgb_colors": np.array(["a"])}, "rgb_colors are missing")])
+    ({"rgb_colors": np.array(["a"])}, "rgb_colors.*missing")])
 def test_wrong_shapes(tmp_path, rng, change, said):
     np.savez(tmp_path / "a.npz", **params(rng) | change)
     with pytest.raises(fg.FastGSError, match=said):

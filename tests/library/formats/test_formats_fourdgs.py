@@ -256,18 +256,18 @@ def without(bins, *attributes):
 
 
 @pytest.mark.parametrize(("change", "said"), [
-    (lambda b: scene(chunk(b), temporal_model="splines"), "temporal model is 'splines'"),
+    (lambda b: scene(chunk(b), temporal_model="splines"), "'splines'"),
     (lambda b: scene(chunk(b))[:-8], "cut short"),
     (lambda b: scene(chunk(b | {10: b[10] + 2})), "has window"),
-    (lambda b: scene(chunk(without(b, 6))), "has no motion"),
-    (lambda b: scene(chunk(b | {2: b[2] + 4})), "leaves out a component"),
+    (lambda b: scene(chunk(without(b, 6))), "no motion"),
+    (lambda b: scene(chunk(b | {2: b[2] + 4})), "component"),
     (lambda b: scene(hollow(10**9, "")), "claims 1000000000 Gaussians"),
-    (lambda b: scene(hollow(1, "lzma")), "'lzma', which is not known"),
-    (lambda b: scene(chunk(b, codec=1).replace(b"\x28\xb5\x2f\xfd", b"\x28\xb5\x2f\xfe", 1)), "a stream in it cannot be unpacked"),
+    (lambda b: scene(hollow(1, "lzma")), "'lzma'"),
+    (lambda b: scene(chunk(b, codec=1).replace(b"\x28\xb5\x2f\xfd", b"\x28\xb5\x2f\xfe", 1)), "stream.*unpacked"),
     (lambda b: scene(chunk(b | {0: b[0][:-1]}, codec=1)), "has 11 elements"),
     (lambda b: scene(chunk(b), chunk(b)).replace(record(4, struct.pack("<I", 3) + WINDOWS.tobytes()), b""), "has window"),
     (lambda b: scene(header()[8:], chunk(b)), "one header"),
-    (lambda b: scene(chunk(b), degree=2), "bands of spherical harmonics are missing"),
+    (lambda b: scene(chunk(b), degree=2), "harmonics.*missing"),
     (lambda b: scene(record(16, b""), chunk(b)), "delta chunk"),
 ])
 def test_damage_has_a_name(tmp_path, rng, change, said):
@@ -290,7 +290,7 @@ def test_damaged_files(tmp_path, rng):
     mutations.campaign("fourdgs", mutations.shows("m"), {key: {"m": content} for key, content in contents.items()}, tmp_path)
 
 
-REFUSED = {"EmptyTemporalModel": "temporal model is ''", "UnknownStreamCodec": "unknown codec 9", "WindowIndexOutOfRange": "has window"}
+REFUSED = {"EmptyTemporalModel": "temporal model.*''", "UnknownStreamCodec": "codec 9", "WindowIndexOutOfRange": "has window"}
 
 
 def test_the_conformance_files(shared_data):

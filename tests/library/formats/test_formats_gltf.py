@@ -168,7 +168,7 @@ def test_a_mesh_that_a_thousand_nodes_show_is_refused(rng, tmp_path):
         if good:
             assert len(fg.load(tmp_path / "m.glb")) == 50 * count
         else:
-            with pytest.raises(fg.FastGSError, match="many times over"):
+            with pytest.raises(fg.FastGSError, match="many times"):
                 fg.load(tmp_path / "m.glb")
 
 
@@ -285,13 +285,13 @@ def test_broken_files(rng, tmp_path):
 
     about = lambda tree: tree["meshes"][0]["primitives"][0]["extensions"][EXT]  # noqa: E731
     refused("cut short", cut=8)
-    refused("longer than its buffer", lambda t: t["accessors"][0].update(count=10**9))
+    refused("longer.*buffer", lambda t: t["accessors"][0].update(count=10**9))
     refused("colour space", lambda t: about(t).update(colorSpace="acescg"))
     for uri in ("../m.bin", "a/../../m.bin", "%2e%2e/m.bin", "/etc/passwd", "a//b", "c:\\m.bin", "http://a/b", "m%00.bin", "", "."):
-        refused("not a file beside or below it", lambda t, uri=uri: t["buffers"][0].update(uri=uri))
+        refused("beside.*below", lambda t, uri=uri: t["buffers"][0].update(uri=uri))
     refused("is missing", lambda t: t["buffers"][0].update(uri="m.bin"))
     refused("tree of nodes", lambda t: t["nodes"][0].update(children=[0]))
-    refused("no attribute KHR_gaussian_splatting:SCALE", lambda t: t["meshes"][0]["primitives"][0]["attributes"].pop(f"{EXT}:SCALE"))
+    refused("attribute KHR_gaussian_splatting:SCALE", lambda t: t["meshes"][0]["primitives"][0]["attributes"].pop(f"{EXT}:SCALE"))
     refused("sparse", lambda t: t["accessors"][0].update(sparse={}))
     refused("flattens", lambda t: t["nodes"][0].update(scale=[1, 0, 1]))
     refused("Import > glTF", lambda t: t["meshes"][0]["primitives"][0].pop("extensions"))

@@ -122,10 +122,10 @@ def test_broken_files(rng, tmp_path):
 
     crowd = gaussians(rng, 30, 1)
     good, _ = file([crowd | {"position": crowd["position"] / 10}], 1)
-    refused(good[:-1], "cut short: a section promises 30")
-    refused(good[:4] + b"\xff" + good[5:], "cut short: its header promises 255 sections")
+    refused(good[:-1], "section.* 30")
+    refused(good[:4] + b"\xff" + good[5:], "header.* 255 sections")
     refused(good[:20] + b"\3" + good[21:], "level 3")
-    refused(good[:4096 + 40] + b"\7" + good[4096 + 41:], "makes no sense")
-    refused(good[:4096 + 8] + b"\1" + good[4096 + 9:], "buckets hold fewer")
-    with pytest.raises(fg.FastGSError, match="extension '.ksplat' is unknown"):
+    refused(good[:4096 + 40] + b"\7" + good[4096 + 41:], "no sense")
+    refused(good[:4096 + 8] + b"\1" + good[4096 + 9:], "buckets.*fewer")
+    with pytest.raises(fg.FastGSError, match="'.ksplat'"):
         fg.save(fg.GaussianModel(np.zeros((1, 3)), np.ones((1, 4)), np.zeros((1, 3)), np.zeros(1), np.zeros((1, 3))), tmp_path / "o.ksplat")

@@ -115,7 +115,7 @@ def test_a_3d_filter_that_is_no_number_is_blamed_by_its_name(rng, load_bytes):
     with pytest.warns(fg.LossWarning) as told:
         model = load_bytes(ply_files.ply(table))
     said = [str(each.message) for each in told if "left out" in str(each.message)]
-    assert len(model) == 5 and len(said) == 1 and "1 of 6 Gaussians is left out, because numbers in their filter_3D are" in said[0]
+    assert len(model) == 5 and len(said) == 1 and "1 of 6 Gaussians" in said[0] and "filter_3D" in said[0]
     for row, source in enumerate((0, 2)):
         scale = np.array([table[f"scale_{i}"][source] for i in range(3)], np.float64)
         np.testing.assert_allclose(np.exp(2 * model.scale[row].astype(np.float64)), np.exp(2 * scale) + 0.01, rtol=1e-5)
@@ -310,7 +310,7 @@ def test_rubbish_at_the_end_is_refused_and_space_is_not(rng, load_bytes, kind):
     table = ply_files.columns(rng, INRIA)
     data = ply_files.ply(table, kind)
     check_inria(load_bytes(data + b"\n\n"), table)
-    with pytest.raises(fg.FastGSError, match="more in the file"):
+    with pytest.raises(fg.FastGSError, match="more.*header"):
         load_bytes(data + b"12345")
 
 
@@ -330,14 +330,14 @@ def test_unusable_gaussians_are_left_out_and_said(rng, load_bytes, kind, name, v
     table[name][[1, 4]] = value
     if kind == "ascii":
         table = {k: np.asarray(v, np.float64) for k, v in table.items()}
-    with pytest.warns(fg.LossWarning, match="2 of 6 Gaussians are left out"):
+    with pytest.warns(fg.LossWarning, match="2 of 6 Gaussians"):
         model = load_bytes(ply_files.ply(table, kind))
     check_inria(model, {k: v[[0, 2, 3, 5]].astype(np.float32) for k, v in table.items()})
 
 
 def test_nothing_but_nan_is_refused(rng, load_bytes):
     table = {k: np.full_like(v, np.nan) for k, v in ply_files.columns(rng, INRIA).items()}
-    with pytest.raises(fg.FastGSError, match="none of its 6 Gaussians can be used"):
+    with pytest.raises(fg.FastGSError, match="none.*6 Gaussians"):
         load_bytes(ply_files.ply(table))
 
 

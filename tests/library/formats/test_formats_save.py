@@ -75,7 +75,7 @@ def test_unknown_extensions_name_the_known(model, tmp_path, name):
 @pytest.mark.parametrize("extension", EXTENSIONS)
 def test_bad_targets(model, tmp_path, extension):
     (tmp_path / f"folder{extension}").mkdir()
-    for target, text in ((tmp_path / f"folder{extension}", "folder"), (tmp_path / "none" / f"m{extension}", "folder does not exist"),
+    for target, text in ((tmp_path / f"folder{extension}", "folder"), (tmp_path / "none" / f"m{extension}", "folder.*exist"),
                          (tmp_path / f"{'n' * 300}{extension}", "cannot write"), (f"{tmp_path}/a\0b{extension}", "cannot write")):
         with pytest.raises(fg.FastGSError, match=text) as error:
             fg.save(model, target)
@@ -87,15 +87,15 @@ def test_devices_are_not_replaced(model, tmp_path):
     if not hasattr(os, "mkfifo"):
         pytest.skip("no named pipes here")
     os.mkfifo(tmp_path / "pipe.ply")
-    with pytest.raises(fg.FastGSError, match="not an ordinary file"):
+    with pytest.raises(fg.FastGSError, match="ordinary file"):
         fg.save(model, tmp_path / "pipe.ply")
-    with pytest.raises(fg.FastGSError, match="not an ordinary file"):
+    with pytest.raises(fg.FastGSError, match="ordinary file"):
         fg.load(tmp_path / "pipe.ply")
     assert stat.S_ISFIFO((tmp_path / "pipe.ply").stat().st_mode)
 
 
 def test_what_is_no_model(tmp_path):
-    with pytest.raises(fg.FastGSError, match="a NoneType is no GaussianModel"):
+    with pytest.raises(fg.FastGSError, match="NoneType.*GaussianModel"):
         fg.save(None, tmp_path / "m.ply")
 
 
@@ -120,7 +120,7 @@ def test_a_failure_changes_nothing(model, tmp_path, monkeypatch, extension, fail
                 raise full
             really(source, to)
         monkeypatch.setattr(outputs.os, "replace", replace)
-    with pytest.raises(fg.FastGSError, match="No space left on device") as error:
+    with pytest.raises(fg.FastGSError, match="No space left") as error:
         fg.save(model.take(slice(0, 9)), target)
     assert str(target) in str(error.value)
     monkeypatch.undo()
@@ -147,7 +147,7 @@ def test_a_folder_that_may_not_be_written(model, tmp_path, monkeypatch):
         raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
 
     monkeypatch.setattr(outputs.Path, "touch", touch)
-    with pytest.raises(fg.FastGSError, match=r"Permission denied; check the folder"):
+    with pytest.raises(fg.FastGSError, match=r"Permission denied.*folder"):
         fg.save(model, tmp_path / "m.ply")
 
 
@@ -171,9 +171,9 @@ def test_new_files_have_the_usual_permissions(rng, make_model, tmp_path):
 
 @pytest.mark.parametrize(("content", "text"), [
     (b"", "empty"), (b"PK\x03\x04rest", "zip archive"), (b"\x1f\x8b\x08", "spz"), (b"glTF\2\0\0\0", "glTF"),
-    (b"\x93NUMPY\1\0", "numpy"), (b"\x80\x02}.", "pickle"), (b"BLENDER-v500", "Blender"), (b"hello, this is a text", "none of the known"),
-    (b"ply", "PLY header is cut short"), (b"plywood\nend_header\n", "line 1 of its PLY header"), (b"\0" * 100, "none of the known"),
-    (b"\x02\0\0\0\0\0\0\0{}", "not a FAST-GS model")])
+    (b"\x93NUMPY\1\0", "numpy"), (b"\x80\x02}.", "pickle"), (b"BLENDER-v500", "Blender"), (b"hello, this is a text", "none.*known"),
+    (b"ply", "PLY header.*short"), (b"plywood\nend_header\n", "line 1 .*PLY header"), (b"\0" * 100, "none.*known"),
+    (b"\x02\0\0\0\0\0\0\0{}", "FAST-GS model")])
 def test_files_of_other_kinds(tmp_path, content, text):
     (tmp_path / "m.ply").write_bytes(content)
     for read in (fg.load, identify):
@@ -206,7 +206,7 @@ def test_a_file_that_may_not_be_read(model, tmp_path, monkeypatch):
 def test_too_little_memory_is_a_sentence(model, tmp_path, monkeypatch):
     fg.save(model, tmp_path / "m.ply")
     monkeypatch.setattr(FORMATS[1].__class__, "load", lambda self, path: np.empty(1 << 62, np.uint8))
-    with pytest.raises(fg.FastGSError, match="too little memory"):
+    with pytest.raises(fg.FastGSError, match="memory"):
         fg.load(tmp_path / "m.ply")
 
 
@@ -249,7 +249,7 @@ def test_decoders_that_have_diverged_are_refused(rng, make_model, tmp_path, exte
     model = make_model(rng, temporal="radial", appearance="stg")
     model.appearance.w2[1, 2] = weight
     fg.save(model, tmp_path / f"m{extension}")
-    with pytest.raises(fg.FastGSError, match="decoder has weights above 1e\\+18.*diverged"):
+    with pytest.raises(fg.FastGSError, match="decoder.* 1e\\+18.*diverged"):
         fg.load(tmp_path / f"m{extension}")
 
 
@@ -261,7 +261,7 @@ def test_a_long_provenance_is_left_out_of_ply_and_said(rng, make_model, tmp_path
 
 
 def test_columns_beyond_what_readers_take(rng, make_model, tmp_path):
-    with pytest.raises(fg.FastGSError, match=r"save it as \.safetensors"):
+    with pytest.raises(fg.FastGSError, match=r"\.safetensors"):
         fg.save(make_model(rng, 2, basis=fg.Fourier(9000)), tmp_path / "m.ply")
     assert not listing(tmp_path)
 
@@ -269,7 +269,7 @@ def test_columns_beyond_what_readers_take(rng, make_model, tmp_path):
 def test_a_still_of_features_is_a_standard_ply_without_a_decoder(rng, make_model, tmp_path):
     """The columns of INRIA's trainer at degree 0, in its order, and the loss told; a dynamic PLY still has its decoder beside it."""
     model = make_model(rng, 30, basis=fg.Polynomial(3), rotation_basis=fg.Polynomial(1), temporal="radial", appearance="stg")
-    with pytest.warns(fg.LossWarning, match="features and decoder"):
+    with pytest.warns(fg.LossWarning, match="features.*decoder"):
         fg.save(fg.freeze(model, 0.5), tmp_path / "still.ply")
     assert [path.name for path in tmp_path.iterdir()] == ["still.ply"]
     header = (tmp_path / "still.ply").read_bytes().partition(b"end_header")[0].decode()

@@ -72,7 +72,7 @@ def test_between_frames_whose_gaussians_do_not_match_the_nearer_one_is_shown(tmp
         source = fg.open_source(write(tmp_path / name, range(3), model=model))
         for f, nearer in ((0.4, 0), (0.6, 1), (1.5, 2)):
             np.testing.assert_array_equal(place(source, f), place(source, nearer))
-        with pytest.raises(fg.FastGSError, match="same Gaussians in the same order"):
+        with pytest.raises(fg.FastGSError, match="same Gaussians"):
             one_model(source)
 
 
@@ -80,7 +80,7 @@ def test_numbers_have_steps_and_gaps(tmp_path):
     source = fg.open_source(write(tmp_path / "steps", (10, 15, 25, 30)))
     assert source.clip.frame_count == 5 and source.clip.start_frame == 10
     np.testing.assert_allclose(place(source, 2), frame(20).position[0], atol=1e-6)
-    with pytest.warns(fg.LossWarning, match="1 of 5 frames are missing"):
+    with pytest.warns(fg.LossWarning, match="1 of 5 frames"):
         fg.open_source(tmp_path / "steps")
     assert fg.open_source(write(tmp_path / "times", (17000000001, 17000000101, 17900000000))).clip.frame_count == 3
 
@@ -154,7 +154,7 @@ def test_sog_in_folders(tmp_path):
     assert len(source.at) == 2
     np.testing.assert_array_equal(source.moment(source.clip.t_of_frame(1))[0].position, model.position)
     (one / "meta.json").write_text('{"a": 1}')
-    with pytest.raises(fg.FastGSError, match="no numbered model files"):
+    with pytest.raises(fg.FastGSError, match="numbered"):
         fg.open_source(one)
 
 
@@ -209,13 +209,13 @@ def test_what_cannot_be_opened_is_said(tmp_path, folder):
         assert all(word in str(error.value) for word in (path.name, *words)), error.value
 
     (tmp_path / "empty").mkdir()
-    refused(tmp_path / "empty", "holds no numbered model files")
+    refused(tmp_path / "empty", "numbered")
     write(write(tmp_path / "two", (1, 2)), (1, 2), "b{:d}.ply")
     refused(tmp_path / "two", "2 sequences", "take_####.ply", "b####.ply")
     refused(tmp_path / "two" / "c_####.ply", "no such files")
     refused(folder, "sequence", "open_source", open_=fg.load)
     moving = random_model(np.random.default_rng(0), 5, basis="cubic", rotation_basis="line", temporal="radial")
-    refused(write(tmp_path / "moving", (1, 2), model=lambda i: moving), "changes over time itself")
+    refused(write(tmp_path / "moving", (1, 2), model=lambda i: moving), "over time")
     write(tmp_path / "broken", range(3))
     (tmp_path / "broken" / "take_0001.ply").write_bytes(b"ply\nnonsense")
     source = fg.open_source(tmp_path / "broken")

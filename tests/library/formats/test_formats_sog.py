@@ -208,12 +208,12 @@ def test_broken_files(rng, tmp_path):
     refused("version 3", version=3)
     refused("promises 4000000", count=4_000_000)
     refused("40 pixels for 2000|has 40 pixels", count=2000)
-    refused("not beside or below it", quats={"files": ["../../etc/passwd"]})
-    refused("quats.webp is missing", {k: v for k, v in good.items() if k != "quats.webp"})
-    refused("says nothing of scales", scales=None)
-    refused("where numbers should be", sh0={"codebook": ["a"], "files": ["sh0.webp"]})
+    refused("beside.*below", quats={"files": ["../../etc/passwd"]})
+    refused("quats.webp.*missing", {k: v for k, v in good.items() if k != "quats.webp"})
+    refused("meta.json.*scales", scales=None)
+    refused("meta.json.*numbers", sh0={"codebook": ["a"], "files": ["sh0.webp"]})
     refused("unknown width", shN={**meta["shN"], "bands": 2})
-    refused("neither WebP nor PNG, or damaged", {**good, "sh0.webp": good["sh0.webp"][:40]})
+    refused("WebP.*PNG", {**good, "sh0.webp": good["sh0.webp"][:40]})
     refused("cannot be", count=-1)
 
 
@@ -225,7 +225,7 @@ def test_a_picture_of_a_gigabyte_takes_no_memory(rng, tmp_path):
     (tmp_path / "m.sog").write_bytes(zipped({**good, "means_l.webp": bytes(huge)}))
     tracemalloc.start()
     try:
-        with pytest.raises(fg.FastGSError, match="more pixels than there are Gaussians"):
+        with pytest.raises(fg.FastGSError, match="more pixels.*Gaussians"):
             fg.load(tmp_path / "m.sog")
         assert tracemalloc.get_traced_memory()[1] < 4 << 20
     finally:

@@ -44,7 +44,7 @@ def test_known_by_content_whatever_the_name(load_bytes, tmp_path):
     data = b"".join(record(position=(i, -i, 0.5), rotation=(128, 255, 128, 128)) for i in range(100))
     assert len(load_bytes(data, "m.bin")) == 100
     assert identify(tmp_path / "m.bin").name == ".splat"
-    with pytest.raises(fg.FastGSError, match="none of the known formats"):
+    with pytest.raises(fg.FastGSError, match="known formats"):
         load_bytes(np.random.default_rng(1).bytes(3200), "noise.bin")
 
 
@@ -55,7 +55,7 @@ def test_exporters_that_do_not_normalise_are_read_by_the_name(load_bytes):
 
 def test_what_follows_the_last_whole_record(load_bytes):
     """As viewers do it, no file is refused for its tail; one that lost something says so."""
-    with pytest.warns(fg.LossWarning, match="its 1 whole records are read"):
+    with pytest.warns(fg.LossWarning, match="1 whole record"):
         assert len(load_bytes((record() * 2)[:50])) == 1
     for tail in (bytes(7), b"\n"):
         with warnings.catch_warnings():
@@ -125,7 +125,7 @@ def test_other_axes_are_turned(rng, make_model, tmp_path):
 def test_gaussians_that_are_no_numbers_stay_out_and_an_empty_model_is_refused(rng, make_model, tmp_path):
     model = make_model(rng, 3)
     model.position[1] = np.nan
-    with pytest.warns(fg.LossWarning, match="1 Gaussians whose numbers are not finite"):
+    with pytest.warns(fg.LossWarning, match="1 Gaussians.*finite"):
         fg.save(model, tmp_path / "m.splat")
     assert len(fg.load(tmp_path / "m.splat")) == 2
     with pytest.raises(fg.FastGSError, match="no Gaussians"):
@@ -136,9 +136,9 @@ def test_what_lies_too_far_away_is_left_out_or_refused(rng, make_model, tmp_path
     """The format has no mark: records are recognised by plausible numbers."""
     model = make_model(rng, 20)
     model.position[3] = 2e7
-    with pytest.warns(fg.LossWarning, match="1 Gaussians that lie farther away"):
+    with pytest.warns(fg.LossWarning, match="1 Gaussians.*farther"):
         fg.save(model, tmp_path / "a.splat")
     assert len(fg.load(tmp_path / "a.splat")) == 19
     model.position[:] = 2e7
-    with pytest.raises(fg.FastGSError, match="make the model smaller"):
+    with pytest.raises(fg.FastGSError, match="smaller"):
         fg.save(model, tmp_path / "b.splat")

@@ -74,7 +74,7 @@ def test_extremes_stay_finite(load_bytes):
 def test_unusable_gaussians_are_left_out_and_said(load_bytes, bad):
     with pytest.warns(fg.LossWarning, match="1 of 3"):
         assert len(load_bytes(file(record() + record(**bad) + record()))) == 2
-    with pytest.raises(fg.FastGSError, match="none of its 2"):
+    with pytest.raises(fg.FastGSError, match="none.* 2"):
         load_bytes(file(record(**bad) * 2))
 
 
@@ -145,7 +145,7 @@ def test_the_texture_is_whole_rows_and_the_first_gaussian_the_most_important(rng
 @pytest.mark.parametrize(("fields", "text"), [
     ({"basis": "paper"}, "cubic.*RMS error"), ({"rotation_basis": "keys"}, "linear in time.*degrees"), ({"temporal": "window"}, "bell"),
     ({"temporal": "radial-window"}, "bell"),
-    ({"appearance": "sh2"}, "SH degree 2"), ({"appearance": "clamp"}, "features and decoder"),
+    ({"appearance": "sh2"}, "SH degree 2"), ({"appearance": "clamp"}, "features.*decoder"),
     ({"motion": 1e6, "basis": "cubic"}, "65504")])
 def test_losses_are_said_in_one_warning(rng, make_model, tmp_path, fields, text):
     with pytest.warns(fg.LossWarning, match=text) as said:
@@ -185,7 +185,7 @@ def test_files_with_padding_that_the_header_leaves_out_are_whole(load_bytes):
     whole = file(b"".join(record() for _ in range(1100)))
     assert len(load_bytes(whole + bytes(64 * 948))) == 1100
     for wrong in (bytes(64 * 1024), bytes(64 * 10) + b"x"):
-        with pytest.raises(fg.FastGSError, match="more in the file"):
+        with pytest.raises(fg.FastGSError, match="more.*header"):
             load_bytes(whole + wrong)
 
 
@@ -201,7 +201,7 @@ def test_files_of_splatvs_own_converter(shared_data):
         assert zeros.mean() == pytest.approx({"coffeeshort2": 0.926, "spinach_4": 0, "yellow_clip2": 0.205}[path.stem], abs=1e-3)
         assert not model.rotation_motion[zeros].any()
         assert len(model) > 1000 and np.isfinite(fg.slice_model(model, 0.5).position).all()
-        assert all("position are not finite" in str(w.message) for w in said), "some of its Gaussians lie nowhere; nothing else is lost"
+        assert all("position are" in str(w.message) for w in said), "some of its Gaussians lie nowhere; nothing else is lost"
 
 
 BAD = {

@@ -176,7 +176,7 @@ def colours(model, directions) -> np.ndarray:
 def test_round_trip(rng, make_model, tmp_path, degree):
     model = make_model(rng, 400, appearance=f"sh{degree}", raster=fg.Raster(antialiased=True), extent=7.0, opacity=rng.normal(0, 2, 400))
     path = tmp_path / "m.spz"
-    with pytest.warns(fg.LossWarning, match="positions are rounded to 1/65536") as said:
+    with pytest.warns(fg.LossWarning, match="positions.*1/65536") as said:
         fg.save(model, path)
     assert len(said) == 1
     assert gzip.decompress(path.read_bytes())[:8] == struct.pack("<4sI", b"NGSP", 3)
@@ -232,10 +232,10 @@ def test_broken_files(rng, tmp_path):
     refused(good[:8] + b"\xff\xff\xff\xff" + good[12:], "promises 4294967295")
     refused(good[:12] + b"\7" + good[13:], "degree 7")
     refused(good[:16] + b"\xff\xff" + good[18:], "table of contents")
-    refused(file(3, 100, 2, {**arrays, "sh": arrays["sh"][:9]}), "cut short: its header promises 100")
-    refused(gzip.compress(b"NGSP\4\0\0\0" + bytes(8)), "not packed with gzip")
-    refused(gzip.compress(b"something else"), "gzip file, but not .spz")
-    refused(file(3, 100, 2, arrays)[:200], "cut short|cannot be unpacked")
+    refused(file(3, 100, 2, {**arrays, "sh": arrays["sh"][:9]}), "header.* 100")
+    refused(gzip.compress(b"NGSP\4\0\0\0" + bytes(8)), "packed.*gzip")
+    refused(gzip.compress(b"something else"), "gzip.*not .spz")
+    refused(file(3, 100, 2, arrays)[:200], "cut short|unpacked")
 
 
 def test_a_bomb_takes_no_memory(tmp_path):

@@ -123,7 +123,7 @@ def test_an_unknown_output_function_is_said(rng, model_folder, function):
     (model_folder / "point_cloud.ply").write_bytes(ply_files.ply(ply_files.columns(rng, STG_FULL)))
     write_decoder(model_folder / "point_cloud.pt", rng)
     (model_folder.parents[1] / "cfg_args").write_text(f"Namespace(duration=20, rgbfunction={function})")
-    with pytest.warns(fg.LossWarning, match="unknown, so sigmoid"):
+    with pytest.warns(fg.LossWarning, match="unknown.*sigmoid"):
         model = fg.load(model_folder / "point_cloud.ply")
     assert (model.appearance.activation, model.clip.frame_count) == ("sigmoid", 20)
 
@@ -270,7 +270,7 @@ def test_short_lives_are_fitted_closely(rng, make_model, tmp_path):
 
 
 def test_rotation_becomes_linear_and_the_error_is_said(rng, make_model, tmp_path):
-    with pytest.warns(fg.LossWarning, match=r"rotation \(keyframes, 4 terms\) becomes linear in time, RMS error [\d.]+ degrees"):
+    with pytest.warns(fg.LossWarning, match=r"rotation \(keyframes, 4 terms\) becomes linear.*RMS error [\d.]+ degrees"):
         fg.save(make_model(rng, rotation_basis="keys"), tmp_path / "m.ply")
 
 
@@ -301,7 +301,7 @@ def test_view_dependent_colour_is_said_to_be_lost(rng, make_model, tmp_path):
 def test_missing_decoder(rng, tmp_path):
     (tmp_path / "cfg_args").write_text("Namespace(rgbfunction='sandwich')")
     (tmp_path / "m.ply").write_bytes(ply_files.ply(ply_files.columns(rng, STG_FULL)))
-    with pytest.raises(fg.FastGSError, match=r"decoder m\.pt is missing"):
+    with pytest.raises(fg.FastGSError, match=r"m\.pt.*missing"):
         fg.load(tmp_path / "m.ply")
 
 
@@ -312,13 +312,13 @@ def test_decoders_of_another_kind(rng, tmp_path, tensors):
     (tmp_path / "cfg_args").write_text("Namespace(rgbfunction='sandwich')")
     (tmp_path / "m.ply").write_bytes(ply_files.ply(ply_files.columns(rng, STG_FULL)))
     torch_zip.write(tmp_path / "m.pt", tensors)
-    with pytest.raises(fg.FastGSError, match=r"decoder m\.pt cannot be used"):
+    with pytest.raises(fg.FastGSError, match=r"decoder m\.pt.*used"):
         fg.load(tmp_path / "m.ply")
 
 
 def test_a_decoder_never_replaces_another_file(rng, make_model, tmp_path):
     (tmp_path / "m.pt").write_bytes(b"weeks of training")
-    with pytest.raises(fg.FastGSError, match=r"m\.pt, which is something else"):
+    with pytest.raises(fg.FastGSError, match=r"m\.pt.*something else"):
         fg.save(make_model(rng, basis="cubic", appearance="sigmoid"), tmp_path / "m.ply")
     assert (tmp_path / "m.pt").read_bytes() == b"weeks of training"
     assert [p.name for p in tmp_path.iterdir()] == ["m.pt"]
@@ -333,7 +333,7 @@ def test_missing_columns_are_named(rng, tmp_path, missing):
 
 def test_half_a_feature_vector(rng, tmp_path):
     (tmp_path / "m.ply").write_bytes(ply_files.ply(ply_files.columns(rng, STG_FULL[:-1])))
-    with pytest.raises(fg.FastGSError, match="some but not all"):
+    with pytest.raises(fg.FastGSError, match="not all"):
         fg.load(tmp_path / "m.ply")
 
 

@@ -104,7 +104,7 @@ def test_ftgs_of_another_kind(tmp_path, rng, comment):
 def test_ftgs_floor_that_could_be_seen(tmp_path, rng):
     path = tmp_path / "scene.ftgs.ply"
     path.write_bytes(ftgs(raw(rng), ["opacity_floor 0.1"]))
-    with pytest.warns(fg.LossWarning, match="keep for ever"):
+    with pytest.warns(fg.LossWarning, match="for ever"):
         fg.load(path)
 
 
@@ -166,7 +166,7 @@ def test_freetime_plus_plus(tmp_path, rng, kind, begin, frames):
     renamed["opacities"] = a["opacities"][:, None]
     np.savez_compressed(tmp_path / "a.npz", allow_pickle=True, marginal_gates=gates, **renamed)
     if kind == "between":
-        with pytest.raises(fg.FastGSError, match="fade only in part"):
+        with pytest.raises(fg.FastGSError, match="fade"):
             fg.load(tmp_path / "a.npz")
     else:
         assert isinstance(fg.load(tmp_path / "a.npz"), fg.GaussianModel)
@@ -188,7 +188,7 @@ def test_checkpoint_with_extensions(tmp_path, rng, more):
 @pytest.mark.parametrize(("key", "shape"), [("quats", (N, 3)), ("times", (N - 1, 1)), ("shN", (N, 4, 3)), ("shN", (N, 45))])
 def test_checkpoint_of_wrong_shapes(tmp_path, rng, key, shape):
     np.savez(tmp_path / "a.npz", **raw(rng) | {key: np.zeros(shape, np.float32)})
-    with pytest.raises(fg.FastGSError, match=f"{key} has the shape|harmonics have the shape"):
+    with pytest.raises(fg.FastGSError, match=f"{key}.*shape|harmonics.*shape"):
         fg.load(tmp_path / "a.npz")
 
 
@@ -292,7 +292,7 @@ def test_splat4d_colour_that_changes(tmp_path, rng):
     path.write_bytes(second_layout(r, 2, [palette], frames=5))
     assert fg.load(path).clip.frame_count == 4
     path.write_bytes(second_layout(r, 2, [palette], frames=5, later=(palette[1] + 1) % 4))
-    with pytest.warns(fg.LossWarning, match="first frame's is kept"):
+    with pytest.warns(fg.LossWarning, match="first frame"):
         model = fg.load(path)
     assert_shows(model, 0.5, **splat4d(r, 0.5, True, 0.05, palette[0][palette[1]]))
 
@@ -311,7 +311,7 @@ def test_an_array_that_lies_about_its_size(tmp_path):
     with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED) as archive:
         for name in ("means", "quats", "times", "durations"):
             archive.writestr(f"{name}.npy", head.getvalue() + bytes(1000))
-    with pytest.raises(fg.FastGSError, match="size that its header says"):
+    with pytest.raises(fg.FastGSError, match="size.*header"):
         fg.load(path)
 
 

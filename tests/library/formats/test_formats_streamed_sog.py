@@ -142,14 +142,14 @@ def test_broken_files(rng, scene):
 
     refused("version", lambda meta, place: meta.update(version=2))
     refused("levels", lambda meta, place: meta.update(lodLevels="3"))
-    refused("more Gaussians than a chunk has", lambda meta, place: place.update(count=8))
-    refused("lod-meta.json.*copy or export it again", lambda meta, place: place.update(file=3))
-    refused("the offset of a chunk", lambda meta, place: place.update(offset=-1))
+    refused("more Gaussians", lambda meta, place: place.update(count=8))
+    refused("lod-meta.json.*copy.*export", lambda meta, place: place.update(file=3))
+    refused("offset", lambda meta, place: place.update(offset=-1))
     refused("damaged", lambda meta, place: meta["tree"].update(children=[7]))
     refused("0_7/meta.json is missing", lambda meta, place: meta["filenames"].__setitem__(1, "0_7/meta.json"))
     refused("no Gaussians", lambda meta, place: meta["tree"].update(children=[]))
     for name in ("../0_0/meta.json", "/etc/passwd", "http://a/meta.json", "0_0\\meta.json", "0_0//meta.json", "", 5):
-        refused("not beside or below", lambda meta, place, name=name: meta["filenames"].__setitem__(1, name))
+        refused("beside.*below", lambda meta, place, name=name: meta["filenames"].__setitem__(1, name))
 
 
 def test_chunks_that_are_named_again_and_again_are_read_once(rng, scene, monkeypatch):

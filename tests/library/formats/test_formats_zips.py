@@ -93,7 +93,7 @@ def test_a_trainer_s_folder_is_its_last_model_as_its_zip_is(make_model, rng, tmp
     assert cli.main(["info", str(run)]) == 0
     assert "30" in capsys.readouterr().out
     fg.save(make_model(rng, 5), run / "point_cloud" / "other.ply")
-    with pytest.raises(fg.FastGSError, match="no numbered model files"):
+    with pytest.raises(fg.FastGSError, match="numbered"):
         fg.load(run)
 
 
@@ -104,14 +104,14 @@ def test_other_models_in_a_zip_are_told(make_model, rng, tmp_path):
         fg.save(model, tmp_path / "in" / name)
     path = zipped(tmp_path / "in")
     for read in (fg.load, fg.open_source):
-        with pytest.warns(fg.LossWarning, match="in.zip: of the models in it, in/c.safetensors is opened; in/a.splat, in/b.ply") as told:
+        with pytest.warns(fg.LossWarning, match="in.zip.* in/c.safetensors .*; in/a.splat, in/b.ply") as told:
             assert len(read(path)) == 6
         assert len([each for each in told if "opened" in str(each.message)]) == 1
     (tmp_path / "in" / "c.safetensors").unlink()
-    with pytest.warns(fg.LossWarning, match="in/b.ply is opened; in/a.splat"):
+    with pytest.warns(fg.LossWarning, match="in/b.ply .*; in/a.splat"):
         assert len(fg.load(zipped(tmp_path / "in"))) == 4
     write(tmp_path / "in", (1, 2))
-    with pytest.warns(fg.LossWarning, match="take_0001.ply to in/take_0002.ply is opened; in/a.splat, in/b.ply"):
+    with pytest.warns(fg.LossWarning, match="take_0001.ply to in/take_0002.ply .*; in/a.splat, in/b.ply"):
         assert len(fg.open_source(zipped(tmp_path / "in")).at) == 2
     write(tmp_path / "in", (1, 2), "more_{:d}.ply")
     with pytest.raises(fg.FastGSError, match="2 sequences.*unpack it"):

@@ -174,11 +174,11 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path, valid, read):
         pytest.skip("this system has no named pipes")
     os.mkfifo(tmp_path / "m.ply")
     for path in (tmp_path / "m.ply", Path("/dev/zero")):
-        with pytest.raises(fg.FastGSError, match="pipe or a device"):
+        with pytest.raises(fg.FastGSError, match="pipe"):
             read(path)
     (tmp_path / "full.ply").write_bytes(valid["full.ply"])
     os.mkfifo(tmp_path / "full.pt")
-    with pytest.raises(fg.FastGSError, match=r"full\.pt cannot be used: this is a pipe"):
+    with pytest.raises(fg.FastGSError, match=r"full\.pt .*pipe"):
         fg.load(tmp_path / "full.ply")
 
 

@@ -132,7 +132,7 @@ def test_a_folder_is_added_once_however_many_ask(tmp_path):
     answers = _together(_adds_the_same, [(tmp_path,)] * 3)
     job, = Jobs(tmp_path / "jobs").all()
     assert answers.count(job.id) == 1
-    assert sum("belongs to a training job that has not ended" in answer for answer in answers) == 2
+    assert sum("not ended" in answer for answer in answers) == 2
 
 
 def test_a_run_that_another_blender_resumed_is_alive(make_jobs, tmp_path):
@@ -187,7 +187,7 @@ def test_what_one_blender_changes_another_does_not_undo(make_jobs, tmp_path):
     a.report_end(job)
     assert a.get(job.id).request == 'PAUSE' and job.request == 'PAUSE'
     b.forget(b.get(job.id))
-    with pytest.raises(fg.FastGSError, match="not on the list"):
+    with pytest.raises(fg.FastGSError, match="list.*training jobs"):
         a.ask(job, 'QUEUED')
     assert not a.all()
 
@@ -199,7 +199,7 @@ def test_a_running_job_is_not_forgotten(make_jobs, tmp_path):
     trains(known, job)
     with pytest.raises(fg.FastGSError, match="is running"):
         known.forget(job)
-    with pytest.raises(fg.FastGSError, match="has not ended"):
+    with pytest.raises(fg.FastGSError, match="not ended"):
         add(known, tmp_path)
 
 
@@ -209,11 +209,11 @@ def test_a_folder_in_which_the_command_line_trains_is_left_alone(make_jobs, tmp_
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "status.json").write_text('{"state": "training"}')
     with locks.hold(tmp_path / "run" / "training.lock"):
-        with pytest.raises(fg.FastGSError, match="another process is training in this folder"):
+        with pytest.raises(fg.FastGSError, match="another process"):
             known.start(job)
         assert (tmp_path / "run" / "status.json").exists()
     state = known.state(job)
-    assert state.kind == 'FAILED' and "another process is training" in state.text
+    assert state.kind == 'FAILED' and "another process" in state.text
     known.start(job)
     trains(known, job)
 
@@ -253,14 +253,14 @@ def test_a_finished_run_in_the_folder_is_not_the_new_one(make_jobs, tmp_path, ol
 
 def test_a_job_without_a_wish_leaves_an_old_run_alone(make_jobs, tmp_path, old_run):
     known = make_jobs()
-    with pytest.raises(fg.FastGSError, match="holds a finished run"):
+    with pytest.raises(fg.FastGSError, match="finished"):
         add(known, tmp_path)
     assert not known.all()
     late = add(known, tmp_path, "late")  # a run comes into its folder while it waits
     old_run.rename(tmp_path / "late")
     assert known.start_next() is None
     state = known.state(known.get(late.id))
-    assert state.kind == 'FAILED' and "holds a finished run" in state.text
+    assert state.kind == 'FAILED' and "finished run" in state.text
     assert (tmp_path / "late" / "status.json").exists()
 
 

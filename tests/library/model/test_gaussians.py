@@ -31,8 +31,8 @@ class Flicker(fg.Always):
 
 
 @pytest.mark.parametrize(("change", "sentence"), [
-    (dict(motion=np.zeros((10, 4, 3))), r"motion must have the shape \(10, 3, 3\)"),
-    (dict(basis=TooWide()), "3 terms but weights of the shape"),
+    (dict(motion=np.zeros((10, 4, 3))), r"motion.*shape \(10, 3, 3\)"),
+    (dict(basis=TooWide()), "3 terms.*weights"),
     (dict(basis="cosine"), "basis of time"),
     (dict(rotation_basis=None), "basis of time"),
     (dict(temporal_kind=Flicker()), "temporal opacity"),

@@ -42,7 +42,7 @@ def test_our_own_file_keeps_it(model, tmp_path):
 
 
 def test_files_of_others_get_plain_colours(model, tmp_path):
-    with pytest.warns(fg.LossWarning, match="appearance .logarithms. becomes plain colours"):
+    with pytest.warns(fg.LossWarning, match="logarithms.*plain colours"):
         fg.save(model, tmp_path / "m.ply")
     again = fg.load(tmp_path / "m.ply")
     np.testing.assert_allclose(again.appearance.plain_colours(again.features), np.exp(model.features), atol=0.01)

@@ -93,7 +93,7 @@ def test_files_keep_it_or_say_what_they_lose(model, tmp_path):
     back = fg.load(tmp_path / "m.safetensors")
     assert back.basis == Chebyshev(5) and back.rotation_basis == Bare(2)
     assert all(np.array_equal(array, model.arrays[name]) for name, array in back.arrays.items())
-    with pytest.warns(fg.LossWarning, match=r"its motion \(chebyshev, 5 terms\) becomes a cubic"):
+    with pytest.warns(fg.LossWarning, match=r"motion \(chebyshev, 5 terms\).*cubic"):
         fg.save(model, tmp_path / "m.splatv")
 
 
@@ -146,7 +146,7 @@ def test_it_is_fitted_by_name_and_competes(rng):
         assert basis == Chebyshev(6)
     found, _ = Fit.of(basis, t)(values)
     np.testing.assert_allclose(found[1:].transpose(1, 0, 2), motion, atol=1e-6)
-    with pytest.raises(fg.FastGSError, match="one of auto, .*chebyshev"):
+    with pytest.raises(fg.FastGSError, match="auto, .*chebyshev"):
         motion_families("bare chebyshev", t)
 
 
@@ -160,5 +160,5 @@ def test_segments_are_joined_where_the_basis_can_be_moved_in_time(rng):
             now = fg.slice_model(joined.take(np.arange(20 * i, 20 * (i + 1))), part.begin + part.length * u, cull=False).position
             np.testing.assert_allclose(now, before, atol=1e-4)
     bare = [replace(part, model=replace(part.model, basis=Bare(5))) for part in parts]
-    with pytest.raises(fg.FastGSError, match="'bare chebyshev' cannot be moved in time"):
+    with pytest.raises(fg.FastGSError, match="'bare chebyshev'.*moved"):
         join(bare, fg.Clip(60))

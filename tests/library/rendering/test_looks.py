@@ -85,7 +85,7 @@ def test_opacity_and_size_are_those_of_a_model_made_so(backend):
 
 def test_numbers_that_are_no_look_are_named():
     for name, value in (("exposure", float("nan")), ("opacity", -1), ("tint", (1, 2, -1)), ("opacity_cut", 1.5)):
-        with pytest.raises(fg.FastGSError, match=f"{name} of an object must lie between"):
+        with pytest.raises(fg.FastGSError, match=f"{name} .*between"):
             ObjectSettings(**{name: value})
     with pytest.raises(fg.FastGSError, match="three numbers"):
         ObjectSettings(tint=(1, 1))
@@ -113,7 +113,7 @@ def test_the_ends_of_each_range_are_within_it_and_give_a_picture(name, space):
         assert np.isfinite(scene_linear(images["rgb"], images["alpha"], space)).all(), value
     below, above = (float(np.nextafter(np.float32(end), np.float32(side))) for end, side in ((low, -np.inf), (high, np.inf)))
     for value in (below, above, np.nan, np.inf, -np.inf, 1e300):
-        with pytest.raises(fg.FastGSError, match=f"{name} of an object must lie between"):
+        with pytest.raises(fg.FastGSError, match=f"{name} .*between"):
             settings(value)
 
 

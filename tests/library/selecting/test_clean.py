@@ -53,9 +53,9 @@ def test_kinds_are_chosen_and_wrong_ones_are_refused(room):
     for strength in (-0.1, 1.5, float("nan"), "much"):
         with pytest.raises(fg.FastGSError, match="strength"):
             fg.clean(room, strength)
-    with pytest.raises(fg.FastGSError, match="one of unseen, haze, floaters, colours"):
+    with pytest.raises(fg.FastGSError, match="unseen, haze, floaters, colours"):
         fg.clean(room, kinds=["dust"])
-    with pytest.raises(fg.FastGSError, match="needs one model"):
+    with pytest.raises(fg.FastGSError, match="one model"):
         fg.clean("room")
 
 
@@ -166,7 +166,7 @@ def test_the_command(run, tmp_path, room):
     assert code == 0 and len(fg.load(out)) == len(room) - expected.taken.sum()
     table = {line.split()[0]: line.split()[1] for line in text.splitlines()}
     assert table["unseen"] == str(expected.found["unseen"].sum()) and table["left"] == str(len(room) - expected.taken.sum())
-    assert "dB between before and after" in text
+    assert "dB between" in text
     before = out.read_bytes()
     code, _, error = run("clean", source, out)
     assert code == 2 and "is there already" in error and out.read_bytes() == before
@@ -183,6 +183,6 @@ def test_the_command_says_what_it_cannot_judge(run, tmp_path):
     source = tmp_path / "blind.safetensors"
     fg.save(dirty_room(fg, cameras=False), source)
     code, text, error = run("clean", source, tmp_path / "out.safetensors", "--strength", "1")
-    assert code == 0 and "unseen and haze cannot be judged" in error and "fastgs annotate" in error and "dB" not in text
+    assert code == 0 and "unseen and haze" in error and "fastgs annotate" in error and "dB" not in text
     left = fg.load(tmp_path / "out.safetensors")
     assert len(left) == WALL + 4 * EACH - fg.clean(fg.load(source), 1.0).taken.sum()

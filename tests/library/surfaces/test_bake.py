@@ -95,7 +95,7 @@ def test_half_frames_allow_twice_the_order():
     def fast(t):
         return points + [0, np.sin(2 * np.pi * 3.3 * t), 0]
 
-    with pytest.warns(UserWarning, match="sample more times per frame"):
+    with pytest.warns(UserWarning, match="more times"):
         model, report = baked(fast, triangles, frames=12, count=50)
     assert not report.reached and report.warning and model.basis.terms <= 0.4 * 12
     assert report.order == getattr(model.basis, "order", None)
@@ -123,7 +123,7 @@ def test_a_hand_that_the_mean_hides(monkeypatch):
     assert hidden.mean_residual <= 0.005 and hidden.tail_residual > 0.01
     assert report.reached and report.tail_residual <= 0.01 and report.order > hidden.order
     assert points[triangles[hidden.worst_triangle]][:, :2].min() > 0.7 and abs(hidden.worst_frame - 101 - FRAMES / 2) <= 6
-    with pytest.warns(UserWarning, match=r"1 % of the Gaussians .* worst at triangle \d+ on frame 1\d\d"):
+    with pytest.warns(UserWarning, match=r"1 % .*triangle \d+.*frame 1\d\d"):
         baked(waving, triangles, **options, max_order=hidden.order)
     # the figures are those of the model itself
     distance = np.concatenate([np.abs(fg.slice_model(model, f / FRAMES).position[:, 2] - _height(waving(f / FRAMES), triangles, model))

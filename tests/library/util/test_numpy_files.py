@@ -73,5 +73,5 @@ def test_files_that_take_more_than_they_hold(tmp_path):
 
 def test_the_refusal_names_file_and_array(tmp_path):
     (tmp_path / "a.npz").write_bytes(npz(data=np.zeros(10**7)))
-    with pytest.raises(FastGSError, match=r"a\.npz.* would unpack to 80000128 bytes, more than 100 times the file.*'data'"):
+    with pytest.raises(FastGSError, match=r"a\.npz.* 80000128 bytes.*100 times.*'data'"):
         read_array(tmp_path / "a.npz", "data")

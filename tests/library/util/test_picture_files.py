@@ -90,7 +90,7 @@ def test_other_exrs_and_cut_ones_are_refused(tmp_path):
     whole = (tmp_path / "whole.exr").read_bytes()
     for i, data in enumerate(((tmp_path / "piz.exr").read_bytes(), b"", b"\x89PNG", whole[:40], whole[:-1])):
         (tmp_path / f"{i}.exr").write_bytes(data)
-        with pytest.raises(fg.FastGSError, match="no EXR picture of scan lines"):
+        with pytest.raises(fg.FastGSError, match="EXR.*scan lines"):
             read_exr(tmp_path / f"{i}.exr")
 
 

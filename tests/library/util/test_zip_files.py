@@ -47,7 +47,7 @@ def test_what_would_take_any_memory_to_unpack_is_refused_before(tmp_path, packin
     with zipfile.ZipFile(tmp_path / "m.zip", "w", packing) as archive:
         archive.writestr("a", b"a")
     for opens in (opened_zip, fg.load):
-        with pytest.raises(fg.FastGSError, match="packed by LZMA or bzip2"), contextlib.ExitStack() as stack:
+        with pytest.raises(fg.FastGSError, match="LZMA.*bzip2"), contextlib.ExitStack() as stack:
             stack.enter_context(opens(tmp_path / "m.zip"))
 
 

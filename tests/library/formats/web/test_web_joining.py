@@ -40,7 +40,7 @@ def test_the_script_does_what_the_modules_do(tmp_path):
 @pytest.mark.parametrize(("text", "word"), [
     ('import thing from "./base.js";', "import thing"), ('import "./base.js";', "cannot be joined"),
     ("export default 1;", "export default"), ('export * from "./base.js";', "cannot be joined"),
-    ('import {x} from "./gone.js";', "gone.js"), ('import {x} from "./main.js";', "import each other"),
+    ('import {x} from "./gone.js";', "gone.js"), ('import {x} from "./main.js";', "each other"),
     ('const x = "</script>";', "main.js"), ("// <!-- x", "main.js")])
 def test_what_cannot_be_joined_is_named(text, word):
     with pytest.raises(fg.FastGSError, match=word):

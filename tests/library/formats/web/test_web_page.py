@@ -119,7 +119,7 @@ def test_a_crop_a_look_and_hidden_gaussians_reach_the_page(model):
 
 def test_a_page_over_its_limit_is_not_written_and_the_sentence_says_what_to_do(model, packed, tmp_path, monkeypatch):
     kept = {model: packed.read_bytes()}
-    with pytest.raises(fg.FastGSError, match=r"x\.html would have .* MB, and its limit is 0\.01 MB; compress it more"):
+    with pytest.raises(fg.FastGSError, match=r"x\.html .* MB.*0\.01 MB.*compress"):
         web.save_page(web.page_of(model), tmp_path / "x.html", limit=0.01, packed=kept)
     assert not (tmp_path / "x.html").exists()
     monkeypatch.setattr(web, "LARGE", 0.01)
@@ -129,7 +129,7 @@ def test_a_page_over_its_limit_is_not_written_and_the_sentence_says_what_to_do(m
 
 def test_a_model_that_a_page_cannot_play_is_refused(model, tmp_path, monkeypatch):
     monkeypatch.setattr(web, "cannot_play", lambda model: "a web page plays no such thing.")
-    with pytest.raises(fg.FastGSError, match="x.html: a web page plays no such thing"):
+    with pytest.raises(fg.FastGSError, match="x.html.*web page"):
         fg.save(model, tmp_path / "x.html")
 
 
