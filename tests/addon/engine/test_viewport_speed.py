@@ -138,7 +138,7 @@ def test_diagnostics_time_each_stage(module, parts, window, two, view, monkeypat
     assert tuple(stages) == module("engine.viewport.timing").STAGES and all(0 < value < 60_000 for value in stages.values())
     monkeypatch.setitem(parts.spaces.viewports.views, (1, True), view)
     text = module("engine.diagnostics").text()
-    assert "viewport of 96 x 64 with" in text and "blending splats" in text and "reading the depth back" in text
+    assert "viewport of 96 x 64 with" in text and "blending splats" in text and "the depth back" in text
 
 
 def test_nothing_is_read_while_the_view_moves(window, two, drawn, still, view):

@@ -101,9 +101,9 @@ def test_paths_that_name_no_picture(tmp_path, stated):
 
 
 @pytest.mark.parametrize(("old", "new", "words"), [
-    ('left="4"', 'left="36"', "calibrated for 0 x 24"), ('right="39"', 'right="-1"', "at least one pixel"),
-    ('focalLengthU="1920"', 'focalLengthU="0"', "focalLengthU"), ('sensorMaxU="2559"', 'sensorMaxU="1e300"', "at least one pixel"),
-    ("<calibration", '<!DOCTYPE c [<!ENTITY a "b">]><calibration', "declares types or entities")])
+    ('left="4"', 'left="36"', "calibrated for 0 x 24"), ('right="39"', 'right="-1"', "one pixel"),
+    ('focalLengthU="1920"', 'focalLengthU="0"', "focalLengthU"), ('sensorMaxU="2559"', 'sensorMaxU="1e300"', "one pixel"),
+    ("<calibration", '<!DOCTYPE c [<!ENTITY a "b">]><calibration', "entities")])
 def test_calibrations_of_nothing(tmp_path, old, new, words):
     tiny_captures.qualisys(tmp_path)
     file = tmp_path / "calib.qca.txt"
@@ -167,8 +167,8 @@ def png(width=8, height=8, length=None) -> bytes:
 
 
 @pytest.mark.parametrize(("content", "words"), [
-    (png(length=2**31 - 1), None), (png(length=2**32 - 1), None), (png(60_000, 60_000), "more than is read"),
-    (png(10_000, 10_000), "too short for the 10000 x 10000"), (b"GIF89a" + bytes(40), "no PNG or JPEG")])
+    (png(length=2**31 - 1), None), (png(length=2**32 - 1), None), (png(60_000, 60_000), "more than"),
+    (png(10_000, 10_000), "short.*10000 x 10000"), (b"GIF89a" + bytes(40), "no PNG or JPEG")])
 def test_pictures_that_claim_too_much(tmp_path, content, words):
     import resource
 

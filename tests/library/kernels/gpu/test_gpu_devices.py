@@ -235,4 +235,4 @@ def test_a_run_whose_gpu_fails_goes_on_from_the_last_checkpoint(fresh, tmp_path,
     assert report["iterations"] == 5 and len(calls) == 3
     assert report["device"].startswith("fresh, then the processor, ")
     assert json.loads((tmp_path / "status.json").read_text())["device"] == report["device"]
-    assert "(Parent device is lost): the processor" in capsys.readouterr().err
+    assert "device is lost): the processor" in capsys.readouterr().err
