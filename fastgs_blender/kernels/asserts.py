@@ -130,6 +130,31 @@ def around(points, normals, places, axes, weights) -> None:
     shapes((points, "p 3"), (normals, "p 3"), (places, "n 3"), (axes, "n 3"), (weights, "n"))
 
 
+def affine_weights(points, places, number, weight, reaches) -> None:
+    """SurfaceBackend.affine_weights()."""
+    shapes((points, "v 3"), (places, "n 3"), (number, "v k"), (weight, "v k"), (reaches, "v"))
+
+
+def places(position, motion, weights, wanted, out) -> None:
+    """SurfaceBackend.places()."""
+    shapes((position, "n 3"), (motion, "n k 3"), (weights, "n k" if len(weights) > 1 else "1 k"), (wanted, "n"), (out, "n 3"))
+
+
+def weighted_sums(values, number, weight) -> None:
+    """SurfaceBackend.weighted_sums()."""
+    shapes((values, "n d"), (number, "v k"), (weight, "v k"))
+
+
+def support(opacity, number, weight, before) -> None:
+    """SurfaceBackend.support()."""
+    shapes((opacity, "n"), (number, "v k"), (weight, "v k"), (before, "v k"))
+
+
+def smoothed(values, first) -> None:
+    """SurfaceBackend.smoothed()."""
+    shapes((values, "v d"), (first, "e"))
+
+
 def project_points(xyz) -> None:
     """TrainingBackend.project_points()."""
     shapes((xyz, "p 3"))

@@ -330,6 +330,34 @@ class SurfaceBackend(Protocol):
         reach            no Gaussian farther away counts
         """
 
+    def affine_weights(self, points: np.ndarray, places: np.ndarray, number: np.ndarray, weight: np.ndarray, reaches: np.ndarray,
+                       ridge: float) -> np.ndarray:
+        """Weights [V, k] of Gaussians at points whose sums are 1 and follow every affine motion of the Gaussians (moving least squares).
+
+        points [V, 3], places [N, 3]  float64
+        number, weight                [V, k] of Gaussians around each point, and how much each counts; rows of 0 stay 0
+        reaches                       [V] the unit of length at each point
+        ridge                         added to the mean squares of the Gaussians' ways from the point, in that unit
+        """
+
+    def places(self, position: np.ndarray, motion: np.ndarray, weights: np.ndarray, wanted: np.ndarray, out: np.ndarray) -> None:
+        """Write the places of the wanted [N] Gaussians into out [N, 3] float64: position [N, 3] + sum_k weights_k motion [N, K, 3].
+
+        weights [1, K], or [N, K] if each Gaussian has its own
+        """
+
+    def weighted_sums(self, values: np.ndarray, number: np.ndarray, weight: np.ndarray) -> np.ndarray:
+        """Sums [V, D] of values [N, D] of numbers [V, k] with weights [V, k], float64."""
+
+    def support(self, opacity: np.ndarray, number: np.ndarray, weight: np.ndarray, before: np.ndarray) -> np.ndarray:
+        """The shares [V] of opacities that are left: those of Gaussians [N], as far as not above those before [V, k], by these."""
+
+    def smoothed(self, values: np.ndarray, first: np.ndarray, other: np.ndarray, rounds: int, share: float) -> np.ndarray:
+        """Values [V, D] float64 of which, so many times, a share is replaced by the mean of the neighbours'.
+
+        first [V + 1], other: the neighbours of v are other[first[v]:first[v + 1]]; where there are none, their mean counts as 0
+        """
+
 
 class Light(Protocol):
     """The light of a picture of some instances, by the Gaussians that it comes from."""

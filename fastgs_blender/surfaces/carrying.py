@@ -15,10 +15,10 @@ from typing import Any
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from ..model.slicing import opacities_at, positions_at, quaternions_at
+from ..model.slicing import opacities_at, quaternions_at
 from ..util import rotations
 from ..util.backends import load_backend
-from .carving import averages, edges_of, normals
+from .quads import Mesh
 
 NEIGHBOURS = 32
 """Gaussians to which a vertex is bound at most."""
@@ -57,21 +57,25 @@ class Binding:
 
     def at(self, place: np.ndarray) -> np.ndarray:
         """The vertices [V, 3] where the Gaussians are at places [N, 3]."""
-        x = self.beside.copy()
-        for k in range(self.number.shape[1]):
-            x += self.weight[:, k, None] * place[self.number[:, k]]
-        return x
+        return self.beside + load_backend("cpu").weighted_sums(place, self.number, self.weight)
 
     def support(self, opacity: np.ndarray) -> np.ndarray:
         """The share [V] of the opacity at binding that is left where the Gaussians' are now [N]."""
-        now = np.minimum(opacity[self.number], self.opacity)
-        return (np.abs(self.weight) * now).sum(1) / np.maximum((np.abs(self.weight) * self.opacity).sum(1), 1e-12)
+        return load_backend("cpu").support(opacity, self.number, self.weight, self.opacity)
+
+
+def places(model: GaussianModel, t: float, wanted: np.ndarray, out: np.ndarray) -> None:
+    """Write into out [N, 3] where the Gaussians that are wanted [N] are at a time."""
+    weights = np.atleast_2d(model.basis.weights(t - model.mu_tau.astype(np.float64) if model.basis.centred else float(t)))
+    load_backend("cpu").places(model.position, model.motion, weights, wanted, out)
 
 
 def bind(model: GaussianModel, t: float, x: np.ndarray, normal: np.ndarray, voxel: float, opacity: np.ndarray) -> Binding:
     """The binding of vertices [V, 3] with normals at a time, by Gaussians of these opacities [N]."""
-    alive = np.flatnonzero(opacity > FAINT)
-    place = positions_at(model, t, alive)
+    lives, place = opacity > FAINT, np.empty((len(model), 3))
+    places(model, t, lives, place)
+    alive = np.flatnonzero(lives)
+    place = place[alive]
     margin = REACHES[-1] * voxel
     near = ((place > x.min(0) - margin) & (place < x.max(0) + margin)).all(1)
     alive, place = alive[near], place[near]
@@ -88,15 +92,8 @@ def bind(model: GaussianModel, t: float, x: np.ndarray, normal: np.ndarray, voxe
     if not len(alive):
         alive, place = np.zeros(1, int), np.zeros((1, 3))
     number = np.maximum(number, 0)
-    away = (place[number] - x[:, None]) / reaches[:, None, None]
-    one = np.concatenate([np.ones((*number.shape, 1)), away], 2)
-    moments = np.einsum("vk,vki,vkj->vij", weight, one, one) / np.maximum(weight.sum(1), 1e-30)[:, None, None]
-    moments[:, 1:, 1:] += RIDGE * np.eye(3)
-    moments[:, 0, 0] = np.maximum(moments[:, 0, 0], 1e-12)
-    solved = np.linalg.solve(moments, np.broadcast_to(np.eye(4)[:, :1], (len(x), 4, 1)))[..., 0]
-    weight = weight / np.maximum(weight.sum(1, keepdims=True), 1e-30) * np.einsum("vki,vi->vk", one, solved)
-    weight /= np.where(np.abs(weight.sum(1, keepdims=True)) > 1e-9, weight.sum(1, keepdims=True), 1)
-    beside, number = x - np.einsum("vk,vki->vi", weight, place[number]), alive[number]
+    weight = load_backend("cpu").affine_weights(x, place, number, weight, reaches, RIDGE)
+    beside, number = x - load_backend("cpu").weighted_sums(place, number, weight), alive[number]
     return Binding(number, weight, np.where(weight != 0, opacity[number], 0), beside)
 
 
@@ -112,18 +109,13 @@ class Paths:
 def carry(model: GaussianModel, t: float, x: np.ndarray, quads: np.ndarray, voxel: float, times: np.ndarray, limit: float,
           progress: Callable[[float], Any]) -> Paths:
     """The paths of a surface's vertices [V, 3] at times [S] around t, as far as no more than a share `limit` of its edges tears."""
-    edges = edges_of(quads)
-
-    def smoothed(x: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        for _ in range(SMOOTH):
-            x = 0.5 * (x + averages(x, edges))
-        return x, normals(x, quads)
-
-    length = np.linalg.norm(x[edges[:, 0]] - x[edges[:, 1]], axis=1)
+    mesh, used = Mesh.of(quads, len(x)), np.zeros(len(model), bool)
+    longest = TORN * np.maximum(mesh.lengths(x), 0.5 * voxel)
     found: dict[int, tuple[np.ndarray, float]] = {}
     middle, place = int(np.searchsorted(times, t)), np.zeros((len(model), 3))
-    first = bind(model, t, x, normals(x, quads), voxel, opacities_at(model, t))
-    base, normal = smoothed(x)
+    first = bind(model, t, x, mesh.normals(x), voxel, opacities_at(model, t))
+    base = mesh.smoothed(x, SMOOTH)
+    normal = mesh.normals(base)
     height = ((x - base) * normal).sum(1)
     rest = x - base - height[:, None] * normal
     for steps in (range(middle, len(times)), range(middle - 1, -1, -1)):
@@ -134,13 +126,14 @@ def carry(model: GaussianModel, t: float, x: np.ndarray, quads: np.ndarray, voxe
             if len(rows):
                 lives = np.minimum(opacity, opacities_at(model, last))
                 binding.take(bind(model, last, raw[rows], towards[rows], voxel, lives), rows)
-            used = np.unique(binding.number)
-            place[used] = positions_at(model, times[step], used)
+            used[:] = False
+            used[binding.number] = True
+            places(model, times[step], used, place)
             raw, last = binding.at(place), times[step]
-            base, towards = smoothed(raw)
+            base = mesh.smoothed(raw, SMOOTH)
+            towards = mesh.normals(base)
             now = base + rest + height[:, None] * towards
-            stretched = np.linalg.norm(now[edges[:, 0]] - now[edges[:, 1]], axis=1)
-            torn = float((stretched > TORN * np.maximum(length, 0.5 * voxel)).mean())
+            torn = float((mesh.lengths(now) > longest).mean())
             if torn > limit:
                 break
             found[step] = now.astype(np.float32), torn

@@ -12,6 +12,7 @@ import numpy as np
 from ..rendering.lookup import between_pixels
 from ..util.backends import load_backend
 from .nets import surface_net
+from .quads import Mesh, normals
 from .views import Subject, View
 
 AGREE = 3
@@ -60,7 +61,9 @@ def carved(subject: Subject, views: list[View], detail: int, smoothing: int, lea
     volume = load_backend("cpu").carve(depths, slopes, poses, low, voxel, shape, REACH * voxel, AGREE, progress)
     volume[[0, -1]] = volume[:, [0, -1]] = volume[:, :, [0, -1]] = REACH * voxel
     place, quads = surface_net(volume - np.float32(THICK * voxel))
-    surface = _largest(Surface(low + voxel * place, quads, np.zeros_like(place), np.zeros(len(place))), least)
+    surface = Surface(low + voxel * place, quads, np.zeros_like(place), np.zeros(len(place)))
+    piece = Mesh.of(quads, len(place)).pieces()
+    surface = surface.take((np.bincount(piece, minlength=len(piece)) >= least * len(piece))[piece])
     deep = (surface.vertices - SHEET * voxel * normals(surface.vertices, surface.quads) - low) / voxel
     below = volume[tuple(np.clip(np.rint(deep).astype(int), 0, np.array(shape) - 1).T)]
     return _drawn(surface, views, voxel, smoothing, np.where(below > 0, HAIR * voxel, 0))
@@ -68,18 +71,17 @@ def carved(subject: Subject, views: list[View], detail: int, smoothing: int, lea
 
 def _drawn(surface: Surface, views: list[View], voxel: float, smoothing: int, hair: np.ndarray) -> Surface:
     """The surface with its vertices where the views see it, or farther outside by `hair` [V]."""
-    edges, x = edges_of(surface.quads), surface.vertices
+    mesh, x = Mesh.of(surface.quads, len(surface.vertices)), surface.vertices
     for i in range(ROUNDS):
-        normal = normals(x, surface.quads)
+        normal = mesh.normals(x)
         away, seen, colour = _seen_from(x, normal, views, voxel, i == ROUNDS - 1)
         away = np.where(seen > 0, away, -THICK * voxel if i == 0 else 0)
-        for _ in range(smoothing):
-            away = 0.5 * (away + averages(away[:, None], edges)[:, 0])
+        away = mesh.smoothed(away, smoothing)
         x = x + (away + (hair if i == ROUNDS - 1 else 0))[:, None] * normal
         if i < ROUNDS - 1:
-            shift = 0.5 * (averages(x, edges) - x)
+            shift = mesh.smoothed(x) - x
             x = x + shift - (shift * normal).sum(1, keepdims=True) * normal
-    return replace(surface, vertices=x, colours=_filled(colour, seen, edges), seen=seen)
+    return replace(surface, vertices=x, colours=_filled(colour, seen, mesh), seen=seen)
 
 
 def _seen_from(x, normal, views: list[View], voxel: float, coloured: bool):
@@ -106,47 +108,11 @@ def _seen_from(x, normal, views: list[View], voxel: float, coloured: bool):
     return total / np.maximum(weights, 1e-9), count, colour / np.maximum(sharpness, 1e-9)[:, None]
 
 
-def edges_of(quads: np.ndarray) -> np.ndarray:
-    """The edges of quads [Q, 4], each once: pairs of vertices [E, 2]."""
-    pairs = np.sort(np.stack([quads, np.roll(quads, -1, 1)], -1).reshape(-1, 2), 1).astype(np.int64)
-    both = np.unique(pairs[:, 0] << 32 | pairs[:, 1])
-    return np.stack([both >> 32, both & 0xFFFFFFFF], 1)
-
-
-def averages(values: np.ndarray, edges: np.ndarray) -> np.ndarray:
-    """The mean [V, D] of the values [V, D] of each vertex' neighbours."""
-    number = np.bincount(edges.ravel(), minlength=len(values))
-    sums = [np.bincount(edges.ravel(), column[edges[:, ::-1].ravel()], len(values)) for column in values.T]
-    return np.stack(sums, 1) / np.maximum(number, 1)[:, None]
-
-
-def normals(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
-    """Unit normals [V, 3] of vertices [V, 3]: the sums of their quads' area vectors."""
-    area = np.cross(x[quads[:, 2]] - x[quads[:, 0]], x[quads[:, 3]] - x[quads[:, 1]])
-    total = np.stack([np.bincount(quads.ravel(), np.repeat(column, 4), len(x)) for column in area.T], 1)
-    return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)
-
-
-def _largest(surface: Surface, least: float) -> Surface:
-    """The surface without pieces that have a smaller share of all quads."""
-    label, edges = np.arange(len(surface.vertices)), edges_of(surface.quads)
-    while True:
-        new = label.copy()
-        np.minimum.at(new, edges[:, 0], label[edges[:, 1]])
-        np.minimum.at(new, edges[:, 1], label[edges[:, 0]])
-        new = new[new]
-        if np.array_equal(new, label):
-            break
-        label = new
-    share = np.bincount(label, minlength=len(label)) / max(len(label), 1)
-    return surface.take(share[label] >= least)
-
-
-def _filled(colour: np.ndarray, seen: np.ndarray, edges: np.ndarray) -> np.ndarray:
+def _filled(colour: np.ndarray, seen: np.ndarray, mesh: Mesh) -> np.ndarray:
     """Colours [V, 3], where no view faces a vertex those of its neighbours."""
     known = seen > 0
     while not known.all():
-        both = averages(np.c_[colour * known[:, None], known], edges)
+        both = mesh.smoothed(np.c_[colour * known[:, None], known], share=1.0)
         new = ~known & (both[:, 3] > 0)
         if not new.any():
             break

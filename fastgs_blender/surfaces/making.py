@@ -10,7 +10,8 @@ from ..model.gaussians import GaussianModel
 from ..util.arguments import real, shown, whole
 from ..util.errors import FastGSError
 from .carrying import carry
-from .carving import Surface, carved, normals
+from .carving import Surface, carved
+from .quads import normals
 from .views import look, subject_of
 
 LEAST = 0.01

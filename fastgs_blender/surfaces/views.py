@@ -11,7 +11,7 @@ from ..cameras.parallel import parallel_camera
 from ..model.filmed_from import directions
 from ..model.framing import in_ball, inside_backdrop, is_subject, looked_at
 from ..model.gaussians import GaussianModel
-from ..model.slicing import slice_model
+from ..model.slicing import freeze, slice_model
 from ..rendering.api import render
 from ..util.errors import FastGSError
 
@@ -81,16 +81,16 @@ def subject_of(model: GaussianModel, t: float) -> Subject:
 def look(subject: Subject, detail: int, progress: Callable[[float], Any]) -> list[View]:
     """The subject from VIEWS directions; detail: voxels along the box's longest side."""
     pixels = int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER))
-    found = []
+    found, still = [], freeze(subject.model, subject.t)
     for direction in directions(VIEWS):
-        found.append(_view(subject, subject.camera(direction, pixels)))
+        found.append(_view(still, subject.camera(direction, pixels)))
         progress(len(found) / VIEWS)
     return found
 
 
-def _view(subject: Subject, camera: Camera) -> View:
-    """What a camera sees of the subject."""
-    passes = render(subject.model, camera, subject.t, passes=["rgb", "alpha", "depth", "median_depth"])
+def _view(still: GaussianModel, camera: Camera) -> View:
+    """What a camera sees of a model that stands still."""
+    passes = render(still, camera, passes=["rgb", "alpha", "depth", "median_depth"])
     depth, alpha = passes["depth"].astype(np.float64), passes["alpha"]
     pixel = 1 / camera.fx
     with np.errstate(invalid="ignore"):

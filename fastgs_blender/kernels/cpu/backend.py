@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import carving, initial, light, nearest, passing, resample, steps, thinnest, training, visible
+from . import carrying, carving, initial, light, nearest, passing, resample, steps, thinnest, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -92,6 +92,8 @@ class CPU:
     nearest = staticmethod(nearest.nearest)
     light = staticmethod(light.light)
     carve, around = staticmethod(carving.carve), staticmethod(carving.around)
+    affine_weights, weighted_sums = staticmethod(carrying.affine_weights), staticmethod(carrying.weighted_sums)
+    places, support, smoothed = staticmethod(carrying.places), staticmethod(carrying.support), staticmethod(carrying.smoothed)
     project_points = staticmethod(initial.project_points)
     sweep = staticmethod(initial.sweep)
     resample = staticmethod(resample.resample)

@@ -70,11 +70,12 @@ def around(points: np.ndarray, normals: np.ndarray, places: np.ndarray, axes: np
 
 @kernel
 def _around(points, normals, places, axes, weights, keys, low, shape, reach, begin, end, number, weight):
-    count = number.shape[1]
+    count, heaviest = number.shape[1], 1.05 * weights.max()
     for p in range(begin, end):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         ci, cj = int(np.floor((x - low[0]) / reach)), int(np.floor((y - low[1]) / reach))
         ck = int(np.floor((z - low[2]) / reach))
+        farthest = reach * reach  # beyond it no Gaussian weighs more than those that are found
         for i in range(max(ci - 1, 0), min(ci + 2, shape[0])):
             for j in range(max(cj - 1, 0), min(cj + 2, shape[1])):
                 first, last = max(ck - 1, 0), min(ck + 1, shape[2] - 1)
@@ -85,7 +86,7 @@ def _around(points, normals, places, axes, weights, keys, low, shape, reach, beg
                 while n < len(keys) and keys[n] <= row + last:
                     dx, dy, dz = places[n, 0] - x, places[n, 1] - y, places[n, 2] - z
                     square = dx * dx + dy * dy + dz * dz
-                    if square < reach * reach:
+                    if square < farthest:
                         cosine = axes[n, 0] * normals[p, 0] + axes[n, 1] * normals[p, 1] + axes[n, 2] * normals[p, 2]
                         w = weights[n] * np.exp(-4 * square / (reach * reach)) * (cosine * cosine + 0.05)
                         if w > weight[p, count - 1]:
@@ -94,4 +95,6 @@ def _around(points, normals, places, axes, weights, keys, low, shape, reach, beg
                                 weight[p, place], number[p, place] = weight[p, place - 1], number[p, place - 1]
                                 place -= 1
                             weight[p, place], number[p, place] = w, n
+                            if weight[p, count - 1] > 0:
+                                farthest = min(farthest, 0.25 * reach * reach * np.log(heaviest / weight[p, count - 1]))
                     n += 1
