@@ -1,17 +1,18 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension store site gallery test-site clean
+.PHONY: help demo test test-all lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension store site gallery test-site clean
 
 PY := .venv/bin/python
 LTS := .venv313/bin/python
 
 help:
 	@echo "make demo          import the example model, move a camera around it and render it through Blender"
-	@echo "make test          style, library and add-on tests (Blender 5.0.1; 5.2.3 too where Python 3.13 is found)"
+	@echo "make test          style, library and add-on tests on Blender 5.0.1, without the slow ones"
+	@echo "make test-all      with the slow ones, and on Blender 5.2.3 too where Python 3.13 is found; CI runs these"
 	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1, 5.2.3, and 5.3 once it is to be had"
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
-	@echo "make lint | test-library | test-addon | test-lts    parts of make test"
+	@echo "make lint | test-library | test-addon | test-lts    parts of make test-all"
 	@echo "make bench         the figures that the README quotes"
 	@echo "make extension     dist/*.zip to install in Blender, one a system, and a repository's index"
 	@echo "make store         dist/store/*.zip as extensions.blender.org takes them, and a moderator's checklist of each"
@@ -34,21 +35,25 @@ help:
 demo: .venv/ready
 	@$(PY) tools/demo.py
 
-test: lint test-library test-addon test-lts test-site
+test: CHOSEN := -m "not slow"
+test: lint test-library test-addon test-site
+	@echo "Left out: tests that are marked slow, and Blender 5.2.3. make test-all runs them too, and so does CI."
+
+test-all: lint test-library test-addon test-lts test-site
 
 lint: .venv/ready
 	@$(PY) -m ruff check .
 	@$(PY) -m mypy --no-error-summary
 
 test-library: .venv/ready
-	@$(PY) -m pytest tests/library -n 2 --dist worksteal
+	@$(PY) -m pytest tests/library -n 2 --dist worksteal $(CHOSEN)
 
 # Blender has one set of global data a process, so these never share a process with the library's tests, and a file stays in one process.
 # A process that crashes ends the run, with the test's name: xdist would give the file's other tests to a new process, which then waits
 # for ever (github.com/pytest-dev/pytest-xdist/issues/1327).
 ADDON := tests/addon -n 2 --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 test-addon: .venv/ready
-	@$(PY) -m pytest $(ADDON)
+	@$(PY) -m pytest $(ADDON) $(CHOSEN)
 
 test-lts:
 	@if tools/find_python.sh 3.13 >/dev/null; then $(MAKE) --no-print-directory test-addon-5.2.3; \

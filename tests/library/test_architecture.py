@@ -83,6 +83,7 @@ def test_the_library_knows_no_blender_and_imports_are_relative(files):
     assert not set().union(*(foreign(path, source) for path, source in files.items()))
 
 
+@pytest.mark.slow
 def test_imports_and_operators_follow_the_order(files):
     assert any(path.startswith("engine/") for path in files)
     assert not set().union(*(against_the_order(path, source, files) for path, source in files.items()))
@@ -127,6 +128,7 @@ def missing(folder: str, source: str, others: dict[str, str]) -> set[str]:
     return found
 
 
+@pytest.mark.slow
 def test_scripts_import_what_their_neighbours_define():
     """Stories in real Blenders run long after this test: a name that was moved is found here."""
     paths = [path for folder in ("tests", "tools", "benchmarks", "examples") for path in (ROOT / folder).rglob("*.py")]

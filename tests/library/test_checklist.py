@@ -49,6 +49,7 @@ def spoilt(built, tmp_path):
     return make
 
 
+@pytest.mark.slow
 def test_our_zip_passes(checklist, built, capsys):
     assert checklist.main([str(built)]) == 0
     lines = capsys.readouterr().out.splitlines()
@@ -86,6 +87,7 @@ def test_what_breaks_a_rule_is_named(checklist, spoilt, rule, changes, named):
     assert any(named in each for each in found), found
 
 
+@pytest.mark.slow
 def test_what_an_extension_does_in_blender_is_watched(checklist, spoilt):
     """It writes beside itself and into the user's folder, asks the network, and leaves a handler and a property behind."""
     rogue = """import socket, contextlib, pathlib, bpy
@@ -107,6 +109,7 @@ def register():
         assert words in found
 
 
+@pytest.mark.slow
 def test_the_code_of_a_zip_for_another_system_is_tried(checklist, spoilt):
     other = next(platform for system, platform in checklist.HERE.items() if system != sys.platform)
     lines = f'platforms = ["{other}"]\nwheels = [\n  "./wheels/a-1-py3-none-any.whl",\n]\n\n[permissions]'

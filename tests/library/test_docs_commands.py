@@ -52,6 +52,7 @@ def folder(files, tmp_path, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", [page for page in PAGES if any("import bpy" not in code and "bpy." not in code
                                                                 for code in blocks(page, "python"))], ids=lambda page: page.name)
 def test_python_runs(page, folder):

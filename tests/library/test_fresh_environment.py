@@ -78,6 +78,7 @@ def fresh(tmp_path_factory):
     return python, site
 
 
+@pytest.mark.slow
 def test_the_pages_commands_run(fresh, tmp_path):
     python, site = fresh
     work, capture = [], write_capture(tmp_path / "my-capture")

@@ -143,6 +143,7 @@ def test_wheels_and_website_are_named_in_the_staged_manifest_alone(builder, mani
         assert 'href="https://a.example/b/docs/blender-5.2-f12.png"' in guide and 'src="http' not in guide and 'href="colour.html"' in guide
 
 
+@pytest.mark.slow
 def test_the_same_commit_builds_the_same_zip(builder, numbas, tmp_path, monkeypatch):
     zips, bundled = [], numbas()
     for umask in 0o022, 0o077:  # files of other modes and times
@@ -240,6 +241,7 @@ def test_what_finds_poses_comes_along_where_there_is_room(wheels, tmp_path, monk
     assert names("c") == ["llvmlite"] and "no wheel" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, capsys):
     """A zip for each system, and Blender's index of them; one whose wheels are not to be had is told, the others are built."""
     def download(name, folder):

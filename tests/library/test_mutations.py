@@ -50,6 +50,7 @@ def test_a_good_reader_passes(tmp_path):
     assert min(told.values()) > 20
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize(("how", "said"), [
     (fail_with(KeyError("n")), "KeyError"), (fail_with(FastGSError("")), "printable"),

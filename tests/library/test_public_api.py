@@ -70,6 +70,7 @@ def test_everything_is_on_the_page_and_has_an_example(api_docs):
     assert all(re.search(rf"\b{name}\b", helped) for name in fg.__all__) and "examples/fireside.safetensors" in helped
 
 
+@pytest.mark.slow
 def test_the_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")

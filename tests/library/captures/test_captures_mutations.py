@@ -38,6 +38,7 @@ def check_capture(folder: Path, layout: str):
             assert pixels.shape == decoding.shape(shot, capture.scale)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", tiny_captures.LAYOUTS)
 def test_damaged_descriptions(layout, tmp_path):
     if layout == "immersive":

@@ -218,6 +218,7 @@ def test_a_video_without_a_known_codec(tmp_path):
     refused("b.mp4: .*(decoder|cannot be read)", video.index, tmp_path / "b.mp4")
 
 
+@pytest.mark.slow
 def test_a_few_keyframes_make_no_endless_path(tmp_path):
     keys = [{"R": [0, 0, 0, 1], "T": [0, 0, 0], "fov": 50, "timestamp": t} for t in (1, 20000)]
     file = tmp_path / "a.json"

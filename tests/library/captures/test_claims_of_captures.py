@@ -31,6 +31,7 @@ def lies(data: bytes):
             yield f"binary at {at}", data[:at] + struct.pack("<Q", BIG) + data[at + 8:]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("layout", tiny_captures.LAYOUTS)
 def test_no_memory_on_the_word_of_a_description(layout, tmp_path):
     if layout in ("immersive", "technicolor"):

@@ -94,6 +94,7 @@ def test_a_darker_camera_and_a_changing_exposure_are_named(faulty):
     assert "changes its exposure" in found["cam06"].sentence and 0.15 < found["cam06"].figure[1] < 0.25
 
 
+@pytest.mark.slow
 def test_all_cameras_changing_together_is_the_light(folder):
     lamp = {i: lambda image, frame: image * (1, 0.85, 0.95)[frame] for i in range(4)}
     report = check(write_room(folder / "lamp", 4, 3, spread=0.6, change=lamp, detail=1))

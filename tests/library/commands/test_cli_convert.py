@@ -49,6 +49,7 @@ def test_frames_outside_of_the_clip_are_told(frames, run, rng, make_model, tmp_p
     assert "extrapolated" not in run("convert", path, tmp_path / "in_####.spz", "--at", "0:49:49")[2]
 
 
+@pytest.mark.slow
 def test_what_a_compressed_file_holds_is_reported(run, rng, make_model, tmp_path):
     """Compression leaves out what pictures do not show: here, Gaussians that nobody can see."""
     model = make_model(rng, 200, appearance="rgb")

@@ -340,6 +340,7 @@ def wait_for_frames(work, process, count):
     until(written)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(("kill", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGTERM, 130), (signal.SIGINT, 130)])
 @pytest.mark.parametrize("kind", ["png", "exr"])

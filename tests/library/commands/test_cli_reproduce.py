@@ -100,6 +100,7 @@ def reproduce(capsys, *arguments) -> list[dict]:
     return json.loads(capsys.readouterr().out)
 
 
+@pytest.mark.slow
 def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeypatch):
     n3v(tmp_path / "data" / "cook_spinach")
     arguments = ["n3v", tmp_path / "data", "--out", tmp_path / "out"]

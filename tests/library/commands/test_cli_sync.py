@@ -37,6 +37,7 @@ def test_quick(shifted, capsys):
     assert not timing.run(Looked(capture)).findings, "after sync, check is content"
 
 
+@pytest.mark.slow
 def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypatch, capsys):
     pytest.importorskip("pycolmap")
     seen, began = [], []

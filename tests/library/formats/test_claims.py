@@ -103,6 +103,7 @@ def checkpoints(folder: Path, rng) -> dict[str, tuple[Path, Path]]:
     return made | {"deformation.pth": (cloud.with_name("deformation.pth"), cloud)}
 
 
+@pytest.mark.slow
 def test_no_memory_on_the_word_of_pickles(tmp_path, rng):
     pytest.importorskip("torch")
     for name, (lying, opened) in checkpoints(tmp_path, rng).items():

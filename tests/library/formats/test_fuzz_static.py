@@ -94,6 +94,7 @@ SEEDS = {"m.glb": glb, "m.gltf": gltf, "m.sog": sog, "meta.json": sog_folder, "m
          "m.spz": spz}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SEEDS)
 def test_mutated_files(name, tmp_path):
     (tmp_path / "seeds").mkdir()

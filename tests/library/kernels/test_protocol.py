@@ -45,6 +45,7 @@ def test_backends_offer_what_the_protocol_says(name, protocol):
         assert list(inspect.signature(getattr(backend, method)).parameters)[:len(wanted)] == wanted, method
 
 
+@pytest.mark.slow
 def test_a_picture_through_the_protocol(rng, fake):
     """Models with and without decoders together, all passes; and what a viewport sorts."""
     camera = fg.Camera(60, 44, 50, 50, 30, 22, random_pose(rng, 2.5))

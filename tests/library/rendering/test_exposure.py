@@ -200,6 +200,7 @@ def test_edits_are_blurred_between_the_moments():
         assert np.abs(found["rgb"] - expected["rgb"]).mean() < 1e-3 and np.abs(found["rgb"] - expected["rgb"]).max() < 0.02
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("soft", [0.0, 0.4])
 def test_crops_and_looks_that_move_are_blurred(soft):
     """A sphere that uncovers a still model as it sweeps along, while the model fades: the average of all times."""

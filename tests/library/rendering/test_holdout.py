@@ -142,6 +142,7 @@ def test_triangles_are_drawn_as_the_oracle_says(orthographic):
         assert np.quantile(np.abs(picture[both] / wanted[both] - 1), 1 - 1e-4) < 1e-5
 
 
+@pytest.mark.slow
 def test_kernels_agree_with_the_oracle():
     rng = np.random.default_rng(5)
     for kind, orthographic in (("rgb", False), ("sigmoid", False), ("sh1", True)):

@@ -180,6 +180,7 @@ def forgeries(arrays, about):
             yield arrays, forged
 
 
+@pytest.mark.slow
 def test_no_value_of_a_checkpoint_ends_in_anything_but_a_sentence_or_a_model(toy, whole, tmp_path):
     """What is accepted is trained on, written and read."""
     trainer, arrays, about = whole
@@ -231,6 +232,7 @@ def test_mutations(toy, whole, tmp_path):
     mutations.campaign("checkpoint", read, seeds, tmp_path / "damaged")
 
 
+@pytest.mark.slow
 def test_mutations_of_the_small_files(tmp_path, monkeypatch):
     """run.json, done.json and the log of a run that is resumed."""
     monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")

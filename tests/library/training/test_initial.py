@@ -122,6 +122,7 @@ def off_planes(xyz) -> np.ndarray:
     return np.minimum(np.abs(xyz[:, 1] - FLOOR), np.abs(xyz[:, 2] - WALL))
 
 
+@pytest.mark.slow
 def test_points_that_stand_lie_on_what_stands(found):
     points, said = found
     still = points.xyz[np.isnan(points.t)]
@@ -159,6 +160,7 @@ def test_points_have_the_colours_of_the_pictures(found, filmed):
     assert np.abs(points.rgb[on_wall] - true).mean() < 0.6 * np.abs(TEXTURES[1].mean((0, 1)) - true).mean()
 
 
+@pytest.mark.slow
 def test_the_same_points_come_from_the_same_pictures_with_any_number_of_threads_and_without_held_out_ones(found, filmed):
     capture, store = filmed
     blind = Store([])

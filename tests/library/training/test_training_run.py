@@ -191,6 +191,7 @@ def killed_when_held(barrier, process):
     return step
 
 
+@pytest.mark.slow
 def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp_path, barrier):
     """Before its first checkpoint, between two, and while one is being written."""
     out, target = tmp_path / "killed", finished[0] / "model.safetensors"
@@ -208,6 +209,7 @@ def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp
     assert not list(out.glob(".fastgs-*"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
 def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier, number):
     out = tmp_path / "stopped"
@@ -299,6 +301,7 @@ def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsy
     assert "No space left" in capsys.readouterr().err and report["iterations"] == 12 and len(calls) > 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("density", ["default", "mcmc"])
 def test_two_processes_are_one_with_twice_the_batch(files, tmp_path, density):
     one, two = tmp_path / "one", tmp_path / "two"

@@ -95,6 +95,7 @@ def write_compressed(rng, kinds, path, counts=(700, 300)):
     return path
 
 
+@pytest.mark.slow
 @needs_node
 @pytest.mark.parametrize("kinds", KINDS, ids="-".join)
 def test_a_model_is_read_to_the_last_bit(node, rng, tmp_path, kinds):
@@ -111,6 +112,7 @@ def test_a_model_is_read_to_the_last_bit(node, rng, tmp_path, kinds):
             np.testing.assert_array_equal(np.array(got[name], np.float32).reshape(array.shape), array, err_msg=name)
 
 
+@pytest.mark.slow
 @needs_node
 @pytest.mark.parametrize("kinds", KINDS, ids="-".join)
 def test_tables_texels_and_orders_are_those_of_viewports(node, rng, tmp_path, kinds):

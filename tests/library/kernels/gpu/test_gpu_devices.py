@@ -103,6 +103,7 @@ def test_a_test_that_ends_the_program_is_not_tried_again(machine, monkeypatch, t
     assert [each["self_test"] for each in json.loads((tmp_path / "gpus.json").read_text()).values()] == [""]
 
 
+@pytest.mark.slow
 def test_the_self_test_passes_here_and_finds_what_is_wrong(adapter, fresh, monkeypatch):
     sound = SimpleNamespace(open=lambda: fresh.backend.device, software=True)
     assert self_test(sound) == Verdict(""), "software is tested, and no time is taken"

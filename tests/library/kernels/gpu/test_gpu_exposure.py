@@ -55,6 +55,7 @@ CASES = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("case", CASES)
 def test_exposures_agree_with_the_cpu(gpu, adapter, scene, case):
     exposure, options = CASES[case]

@@ -84,6 +84,7 @@ def pictures(name: str) -> list[np.ndarray]:
     return [*sharp.values(), *blurred.values()]
 
 
+@pytest.mark.slow
 def test_no_picture_breaks_wherever_the_gpu_fails(gpu, adapter, another, breaking):
     """Lost at each stage and at each read-back, and out of memory at each allocation: the pictures are the GPU's or the CPU's."""
     cpu = pictures("cpu")
@@ -127,6 +128,7 @@ def test_a_step_without_memory_is_a_device_error(gpu, another, breaking):
             steps()
 
 
+@pytest.mark.slow
 def test_the_self_test_finds_every_stage_that_does_nothing(another, monkeypatch):
     """There is no stage that it does not run, so results that are wrong are not used, wherever they come from."""
     run, found = Device.run, set()

@@ -51,6 +51,7 @@ def random_scene(seed):
     return model, random_camera(rng), rng.uniform(-0.1, 1.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", range(0, SCENES, 8))
 def test_random_scenes_agree_with_the_oracle(gpu, adapter, first):
     for seed in range(first, first + 8):
@@ -149,6 +150,7 @@ def test_what_reaches_the_cameras_plane_agrees_with_the_oracle(gpu, adapter):
     assert np.abs(straight - wanted).max() > 0.1, "some of it is beside the picture"
 
 
+@pytest.mark.slow
 def test_all_passes_of_several_instances_agree_with_the_cpu(gpu, adapter, crowd):
     instances, camera = crowd
     wanted, got = (fg.render(instances, camera, passes=tuple(PASSES), backend=name) for name in ("cpu", name_of(adapter)))
