@@ -115,6 +115,11 @@ def nearest(points, turns) -> None:
     shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
+def posed(index) -> None:
+    """PictureBackend.posed()."""
+    shapes((index, "m"))
+
+
 def thinnest(places, spreads, weights) -> None:
     """PictureBackend.thinnest()."""
     shapes((places, "n 3"), (spreads, "n 6"), (weights, "n"))

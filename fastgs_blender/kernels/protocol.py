@@ -22,7 +22,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
 from ..rendering.exposure import Exposure
-from ..rendering.instances import ViewedInstance
+from ..rendering.instances import Instance, ViewedInstance
 from ..rendering.layout import Buffers, Exposed, Layout
 
 Array = Any
@@ -94,6 +94,10 @@ class PictureBackend(Protocol):
 
     def past_triangles(self, triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
         """The same of opaque triangles [F, 3, 3] float32, for points [P, 3] and over [P] as past_splats() has them: 0 or 1, [P] float32."""
+
+    def posed(self, instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Where the Gaussians index [M] int64 of an instance are at its time, [M, 3], and the unit quaternions [M, 4] by which they are
+        turned, in its model's space and in float64."""
 
     def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
         """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.

@@ -43,15 +43,16 @@ class Lamp:
         object.__setattr__(self, "colour", np.broadcast_to(colour, (len(self.light.points), 3)))
 
     def share(self, number: int, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
-        """How much of its colour its point of that number sends to positions [M, 3] with unit normals [M, 3], in the world: [M]."""
+        """How much of its colour its point of that number sends to positions [3, M] with unit normals [3, M], in the world: [M]."""
         place = self.light.points[number]
         if self.light.parallel:
-            return np.maximum(normal @ place, 0)
-        towards = place - position
-        square = np.maximum(np.einsum("mk,mk->m", towards, towards), 1e-12)
-        share = np.maximum(np.einsum("mk,mk->m", normal, towards), 0) / (square * np.sqrt(square))
+            return np.maximum(place @ normal, 0)
+        towards = place[:, None] - position
+        square = np.maximum((towards * towards).sum(0), 1e-12)
+        length = np.sqrt(square)
+        share = np.maximum((normal * towards).sum(0), 0) / (square * length)
         if self.beam is not None and self.axis is not None:
-            share *= self.beam(-(towards @ self.axis) / np.sqrt(square))
+            share *= self.beam(-(self.axis @ towards) / length)
         return share
 
 

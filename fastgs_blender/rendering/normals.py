@@ -36,17 +36,16 @@ def smooth_normals(shown: Shown, backend: Any) -> np.ndarray:
     instance, index = shown.instance, shown.index
     if not len(index):
         return np.zeros((0, 3))
-    scale = np.exp(instance.model.scale[index].astype(np.float64))
-    axes = shown.axes * scale[:, None]
-    spread = axes @ axes.transpose(0, 2, 1)
-    rows, columns = np.triu_indices(3)
-    sides = np.sort(scale, 1)
-    weight = opacities_at(instance.model, instance.t)[index] * (1 - sides[:, 0] / sides[:, 1]) * sides[:, 1] * sides[:, 2]
+    spread = np.stack([(shown.spread[i] * shown.spread[j]).sum(0) for i, j in zip(*np.triu_indices(3), strict=True)], 1)
+    a, b, c = shown.scale
+    least, most = np.minimum(a, b), np.maximum(a, b)
+    least, middle, most = np.minimum(least, c), np.maximum(least, np.minimum(most, c)), np.maximum(most, c)
+    weight = opacities_at(instance.model, instance.t)[index] * (1 - least / middle) * middle * most
     if len(instance.hidden):
         weight = weight * ~instance.hidden[index]
     weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)
     reach = REACH * float(np.median(np.exp(instance.model.scale.max(1))))
-    found = backend.thinnest(shown.position, np.ascontiguousarray(spread[:, rows, columns]), weight, reach)
+    found = backend.thinnest(shown.position, spread, weight, reach)
     normal = shown.as_normals(found)
     return normal if instance.surface is None else _of_surface(instance.surface, shown.world, normal)
 
@@ -55,9 +54,9 @@ def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
     """The smooth normals of instances before their camera."""
     found = {}
     for instance in instances:
-        index = np.sort(backend.front_to_back([instance], instance.camera)).astype(np.int64)
+        seen = Shown.all_of(instance, backend)
         found[instance] = np.zeros((len(instance.model), 3))
-        found[instance][index] = smooth_normals(Shown(instance, index), backend)
+        found[instance][seen.index] = smooth_normals(seen, backend)
     return Quantity(3, lambda shown: found[shown.instance][shown.index])
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import Features, decode, lifted, momentary
-from ..model.slicing import Slice, slice_model
+from ..model.slicing import Slice, positions_at, quaternions_at, slice_model
 from ..util import rotations
 from .crops import crop_share
 from .culling import order_in_numpy
@@ -337,6 +337,10 @@ class Oracle:
         layout = Layout(instances, False, plane=True)
         with np.errstate(all="ignore"):
             return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
+
+    def posed(self, instance, index):
+        model, t = instance.model, instance.t
+        return positions_at(model, t, index), rotations.unit(quaternions_at(model, t, index))
 
     past_triangles = staticmethod(past_triangles)
     thinnest = staticmethod(thinnest)

@@ -17,6 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -77,106 +78,132 @@ class SceneLight:
         out = list(instances)
         surfaces = [_Surface(instances[number].viewed(camera), backend) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
-        arriving = self._arriving(_Spots(surfaces), casting, backend, progress)
+        arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
-        for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=2)):
+        for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=3)):
             settings = instances[number].settings
             if settings.takes_light:
                 bare, meshes, all_ = light.sum(0)
                 past = np.divide(meshes, bare, out=np.ones_like(bare), where=bare > 1e-12)
                 captured = settings.captured_light * (1 - settings.shadows * (1 - past))
                 lamps = settings.lamp_light / np.pi * (bare - settings.shadows * (bare - all_))
-                gain = captured + lamps * surface.unlit(settings.unlit, backend)
+                gain = (captured + lamps * surface.unlit(settings.unlit, backend).T).T
                 out[number] = painted(instances[number], surface.instance, surface.index, gain, surface.local)
             if passes:
-                near = contact(self.meshes, surface.position, surface.normal, self.reach, self.bias, backend)
+                near = contact(self.meshes, surface.position.T, surface.normal.T, self.reach, self.bias, backend)
                 out[number] = replace(out[number], shading=shading_of(len(instances[number].model), surface.index, light, near))
         return out
 
     def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
-        """The irradiance of the spots, by the lamps' levels [L, 3, P, 3]: with nothing in the way, with meshes, with meshes and splats."""
-        total = np.zeros((max(self.levels, default=-1) + 1, 3, len(spots.position), 3))
+        """The irradiance of the spots, by the lamps' levels [L, 3, 3, P], by channel: with nothing in the way, with meshes, with meshes and
+        splats."""
+        total = np.zeros((max(self.levels, default=-1) + 1, 3, 3, len(spots)))
         ways = Ways(backend, casting, self.meshes)
         for number, (lamp, lights) in enumerate(self.lamps):
-            count = len(lamp.light.points)
-            shares = np.stack([lamp.share(k, spots.position, spots.normal) for k in range(count)]) * spots.among(lights) / count
+            count, among = len(lamp.light.points), spots.among(lights)
+            shares = np.stack([lamp.share(k, spots.position, spots.normal) * among for k in range(count)]) / count
             rows = np.flatnonzero(shares.any(0))
-            sides = [replace(side, rows=rows[side.rows]) for side in ways.sides(lamp.light, spots.position[rows])]
+            shares, lit = shares[:, rows], spots.part(rows)
+            sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
+            sums = np.zeros((3, 3, len(rows)))
             for k, share in enumerate(shares):
-                bare, *blocked = total[self.levels[number]]
-                bare += np.outer(share, lamp.colour[k])
-                past = [share.copy(), share]
-                for side in sides:
-                    for factor, through in zip(past, self._through(ways, lamp, k, side, spots), strict=True):
-                        factor[side.rows] *= through
-                for sums, factor in zip(blocked, past, strict=True):
-                    sums += np.outer(factor, lamp.colour[k])
+                past = np.stack([share] * 3)
+                for side, part in sides:
+                    past[1:, side.rows] *= self._through(ways, lamp, k, side, part)
+                sums += past[:, None] * lamp.colour[k][:, None]
                 progress((number + (k + 1) / count) / len(self.lamps))
+            total[self.levels[number]][..., rows] += sums
         return total
 
     def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray]:
         """Which share of the light of a lamp's point comes past the meshes, and past all, to a side's spots: [M] each."""
-        light, rows, part = lamp.light, side.rows, np.abs(lamp.colour).sum(1)
+        light, part = lamp.light, np.abs(lamp.colour).sum(1)
         share = part[number] / max(part.sum(), 1e-30)
-        towards = np.broadcast_to(light.points[number], (len(rows), 3)) if light.parallel else light.points[number] - spots.position[rows]
-        over, size = self.bias + REACH * spots.thickness(rows, towards), max(int(self.size * min(share**0.25, 1)), 64)
-        meshes, splats = ways.past(light, number, side, spots.spread(rows, number, share), size, self.bias, over)
+        towards = light.points[number][:, None] - (0 if light.parallel else spots.position)
+        over, size = self.bias + REACH * spots.thickness(towards), max(int(self.size * min(share**0.25, 1)), 64)
+        meshes, splats = ways.past(light, number, side, spots.spread(number, share), size, self.bias, over)
         return meshes, meshes * splats
 
 
+@dataclass(frozen=True, eq=False)
 class _Spots:
-    """The Gaussians of some surfaces as spots that light falls on: position, normal and axes, as _Surface has them."""
+    """Gaussians as P spots that light falls on.  They come last in arrays: NumPy is several times as fast on long rows.
 
-    def __init__(self, surfaces: list[_Surface]):
-        self.position, self.normal, self.axes = (np.concatenate([getattr(each, name) for each in surfaces]) for name in
-                                                 ("position", "normal", "axes"))
-        self._names = np.repeat([each.instance.name for each in surfaces], [len(each.index) for each in surfaces])
-        square = (self.axes * self.axes).sum(1)
-        self._inverse = self.axes / np.maximum(square, 1e-30)[:, None]
-        order = square.argsort(1)
-        self._wide = np.take_along_axis(self.axes, order[:, None, 1:], 2)
+    position, normal  [3, P] in the world; unit normals, turned to the camera, smooth (normals.py)
+    axes              [3, 3, P] as columns, each as long as its standard deviation
+    names             [P] of their instances
+    """
 
-    def among(self, names: frozenset[str] | None) -> np.ndarray:
+    position: np.ndarray
+    normal: np.ndarray
+    axes: np.ndarray
+    names: np.ndarray
+
+    @classmethod
+    def of(cls, surfaces: list[_Surface]) -> _Spots:
+        """The Gaussians of all surfaces."""
+        position, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces], -1) for name in ("position", "normal", "axes"))
+        return cls(position, normal, axes, np.repeat([each.instance.name for each in surfaces], [len(each.index) for each in surfaces]))
+
+    def __len__(self) -> int:
+        return self.position.shape[1]
+
+    def part(self, rows: np.ndarray) -> _Spots:
+        """Some of the spots."""
+        if len(rows) == len(self):
+            return self
+        return _Spots(*(array[..., rows] for array in (self.position, self.normal, self.axes, self.names)))
+
+    def among(self, names: frozenset[str] | None) -> np.ndarray | bool:
         """Which spots are of instances with these names [P] bool; None: all."""
-        return np.ones(len(self.position), bool) if names is None else np.isin(self._names, list(names))
+        return True if names is None else np.isin(self.names, list(names))
 
-    def thickness(self, rows: np.ndarray, towards: np.ndarray) -> np.ndarray:
-        """The standard deviation [M] of the spots `rows` along lines through their middles with directions [M, 3]."""
-        along = np.einsum("mkj,mk->mj", self._inverse[rows], towards)
-        return np.linalg.norm(towards, axis=1) / np.maximum(np.linalg.norm(along, axis=1), 1e-30)
+    @cached_property
+    def _squares(self) -> np.ndarray:
+        return np.maximum((self.axes * self.axes).sum(0), 1e-30)
 
-    def spread(self, rows: np.ndarray, number: int, share: float) -> np.ndarray:
-        """Places [S, M, 3] all over the spots `rows`, from which the point `number` of a lamp is looked at: if much of its light, a share,
-        comes from there several, so that a shadow's edge crosses a spot little by little."""
+    @cached_property
+    def _inverse(self) -> np.ndarray:
+        return self.axes / self._squares
+
+    @cached_property
+    def _wide(self) -> np.ndarray:
+        """The two longest axes [3, 2, P] of each, the shorter one first."""
+        return np.take_along_axis(self.axes, self._squares.argsort(0)[None, 1:], 1)
+
+    def thickness(self, towards: np.ndarray) -> np.ndarray:
+        """The standard deviation [P] of the spots along lines through their middles with directions [3, P], or one [3, 1]."""
+        x, y, z = towards
+        along = self._inverse[0] * x + self._inverse[1] * y + self._inverse[2] * z
+        return np.sqrt((towards * towards).sum(0) / np.maximum((along * along).sum(0), 1e-30))
+
+    def spread(self, number: int, share: float) -> np.ndarray:
+        """Places [S, 3, P] all over the spots, from which the point `number` of a lamp is looked at: if much of its light, a share, comes
+        from there several, so that a shadow's edge crosses a spot little by little."""
         each = max(round(SPREAD * share), 1)
         k = number * each + np.arange(each)
         radius, turn = np.sqrt(k / PLASTIC % 1), 2 * np.pi * (k / PLASTIC**2 % 1)
-        u, v = (radius * side(turn) for side in (np.cos, np.sin))
-        wide = self._wide[rows]
-        return self.position[rows] + u[:, None, None] * wide[..., 0] + v[:, None, None] * wide[..., 1]
+        u, v = ((radius * side(turn))[:, None, None] for side in (np.cos, np.sin))
+        return self.position + u * self._wide[:, 0] + v * self._wide[:, 1]
 
 
 class _Surface:
-    """The Gaussians of an instance that its camera shows, as a surface in the world.
+    """The M Gaussians of an instance that its camera shows, as a surface in the world: arrays as _Spots has them.
 
-    index     [M]     which of the model's
-    local     [M, 3]  their places in the model's space
-    position  [M, 3]
-    normal    [M, 3]  unit vectors, turned to the camera, smooth (normals.py)
-    axes      [M, 3, 3]  as columns, each as long as its standard deviation
+    index  [M] which of the model's
+    local  [M, 3] their places in the model's space
     """
 
     def __init__(self, instance: ViewedInstance, backend: Any):
-        self.instance = instance
-        self.index = np.sort(backend.front_to_back([instance], instance.camera)).astype(np.int64)
-        shown = Shown(instance, self.index)
-        self.local, self.position, self.axes = shown.position, shown.world, shown.spread
-        self.normal = smooth_normals(shown, backend)
+        shown = Shown.all_of(instance, backend)
+        self.instance, self.index, self.local, self.position = instance, shown.index, shown.position, shown.world.T
+        self.axes = (instance.placement[:3, :3] @ shown.spread.reshape(3, -1)).reshape(shown.spread.shape)
+        self.normal = smooth_normals(shown, backend).T
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:
         """Factors [M, 3] from captured colour to a mixture of it and the estimated unlit one."""
         if not share:
             return np.ones((len(self.index), 3))
-        normal = self.normal @ self.instance.placement[:3, :3]
+        normal = self.normal.T @ self.instance.placement[:3, :3]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         return 1 + share * (captured_light(self.instance.source, backend).unlit(normal) - 1)

@@ -37,13 +37,13 @@ def shading_of(count: int, index: np.ndarray, arriving: np.ndarray, contact: np.
     """The Shading of an instance of `count` Gaussians.
 
     index     [M] those that are shown
-    arriving  [L, 3, M, 3] the irradiance of each lamp: with nothing in the way, with meshes, with meshes and splats
+    arriving  [L, 3, 3, M] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with meshes and splats
     """
-    bare = arriving[:, 0].mean(-1)
+    bare = arriving[:, 0].mean(1)
     out = Shading(np.zeros((len(bare), count, 3)), *np.ones((2, len(bare), count)), np.ones(count))
-    out.lights[:, index], out.contact[index] = arriving[:, 0] / np.pi, contact
+    out.lights[:, index], out.contact[index] = arriving[:, 0].transpose(0, 2, 1) / np.pi, contact
     for shares, stage in ((out.meshes, 1), (out.both, 2)):
-        shares[:, index] = np.divide(arriving[:, stage].mean(-1), bare, out=np.ones_like(bare), where=bare > 1e-12)
+        shares[:, index] = np.divide(arriving[:, stage].mean(1), bare, out=np.ones_like(bare), where=bare > 1e-12)
     return out
 
 
@@ -78,11 +78,11 @@ def unlit(instances: list[ViewedInstance], backend: Any) -> Quantity:
     """The estimated unlit colours, in the models' own colour spaces, with the looks of their objects."""
     factors = {}
     for instance in instances:
-        index = np.sort(backend.front_to_back([instance], instance.camera)).astype(np.int64)
-        normal = smooth_normals(Shown(instance, index), backend) @ instance.placement[:3, :3]
+        seen = Shown.all_of(instance, backend)
+        normal = smooth_normals(seen, backend) @ instance.placement[:3, :3]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         factors[instance] = np.ones((len(instance.model), 3))
-        factors[instance][index] = captured_light(instance.source, backend).unlit(normal)
+        factors[instance][seen.index] = captured_light(instance.source, backend).unlit(normal)
 
     def values(shown: Shown) -> np.ndarray:
         instance, factor = shown.instance, factors[shown.instance][shown.index]

@@ -97,12 +97,12 @@ class Shadow:
         seen = np.isfinite(depth)
         if not seen.any() or not instances:
             return out
-        points = camera.points(np.where(seen, depth, 1))[seen]
-        ways, total = Ways(backend, instances, None), np.zeros(len(points))
+        points = camera.points(np.where(seen, depth, 1))[seen].T
+        ways, total = Ways(backend, instances, None), np.zeros(points.shape[1])
         sides = ways.sides(self.light, points)
         for i in range(len(self.light.points)):
             for side in sides:
-                total[side.rows] += ways.past(self.light, i, side, points[None, side.rows], self.size, over_splats=self.bias)[1]
+                total[side.rows] += ways.past(self.light, i, side, points[None, :, side.rows], self.size, over_splats=self.bias)[1]
             progress((i + 1) / len(self.light.points))
         out[seen] = total / len(self.light.points)
         return out

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import RGB
+from ..model.slicing import Slice, opacities_at, still
 from .instances import Instance
 from .passing import BEHIND
 
@@ -45,20 +46,20 @@ class Ways:
 
     def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None):
         self.backend, self.meshes = backend, meshes
-        self.instances = [_bare(each) for each in instances if len(each.model)]
+        self.instances = [_bare(each, backend) for each in instances if len(each.model)]
 
     def sides(self, light: Any, points: np.ndarray) -> list[Side]:
-        """The pictures from each point of a lamp (shadow.Light) that show points [P, 3] well: one, or those through the sides of a cube."""
-        every = np.arange(len(points))
-        if light.parallel or not len(points):
-            return [Side(every, self.instances)] if len(points) else []
+        """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube."""
+        every = np.arange(points.shape[1])
+        if light.parallel or not len(every):
+            return [Side(every, self.instances)] if len(every) else []
         centre = light.points.mean(0)
-        radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre
+        radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
         middle = _bounds(towards).mean(0)
-        if (towards @ middle >= NARROW * np.sqrt(np.einsum("pk,pk->p", towards, towards) * (middle @ middle))).all():
+        if (middle @ towards >= NARROW * np.sqrt((towards * towards).sum(0) * (middle @ middle))).all():
             return [Side(every, self.instances)]
-        axis = np.abs(towards).argmax(1)
-        side = 2 * axis + (towards[every, axis] > 0)
+        axis = np.abs(towards).argmax(0)
+        side = 2 * axis + (towards[axis, every] > 0)
         return [Side(np.flatnonzero(side == number), self._through(centre, radius, number // 2, 2 * (number % 2) - 1))
                 for number in np.unique(side).tolist()]
 
@@ -67,23 +68,24 @@ class Ways:
         """Which share of the light of a lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
 
         side    of these points
-        places  [S, P, 3] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
+        places  [S, 3, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
                 of the first
         size   pixels of the longer side of the picture, or of a right angle of it
         over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
         """
-        points, count = places.reshape(-1, 3), places.shape[1]
+        several, _, count = places.shape
+        points = np.ascontiguousarray(places.transpose(0, 2, 1)).reshape(-1, 3)
         meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
-        eye = view_from(light.parallel, light.points[number], points, self._around, size)
+        eye = view_from(light.parallel, light.points[number], places.transpose(1, 0, 2).reshape(3, -1), self._around, size)
         if eye is None:
             return meshes, splats
         if self.meshes is not None and len(self.meshes):
             found = self.backend.past_triangles(self.meshes, eye, points, np.full(len(points), float(over_meshes)))
-            meshes = self.backend.numpy(found).reshape(places.shape[:2]).mean(0)
+            meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
         if viewed:
             over = np.broadcast_to(np.float64(over_splats), count).copy()
-            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[0], over))
+            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, points[:count], over))
         return meshes, splats
 
     @cached_property
@@ -91,7 +93,7 @@ class Ways:
         """Points [Q, 3] around all that may throw shadows."""
         found = [_corners(self.instances)]
         if self.meshes is not None and len(self.meshes):
-            found.append(_bounds(self.meshes.reshape(-1, 3))[_CHOICES, np.arange(3)])
+            found.append(_bounds(self.meshes.reshape(-1, 3).T)[_CHOICES, np.arange(3)])
         return np.concatenate(found)
 
     @cached_property
@@ -116,20 +118,25 @@ class Ways:
         return found
 
 
-def _bare(instance: Instance) -> Instance:
-    """The instance as it is at its time, without colours, which are nothing to shadows."""
+def _bare(instance: Instance, backend: Any) -> Instance:
+    """The instance as it is at its time, without those of its Gaussians that have faded away, and without colours, which are nothing to
+    shadows."""
     model = instance.model
-    bare = replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB())
-    return replace(instance, model=bare, origin=instance.source).frozen()
+    opacity = opacities_at(model, instance.t)
+    index = np.flatnonzero(opacity >= model.raster.alpha_cut)
+    place, turn = backend.posed(instance, index)
+    scale = np.exp(model.scale[index].astype(np.float64))
+    now = Slice(index, place, turn, scale, opacity[index], np.zeros((len(index), 3)), np.zeros((len(index), 3)))
+    return replace(instance.part(index, still(replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), now)), t=0.0)
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:
-    """The least and the largest coordinates [2, 3] of points [P, 3]: column by column, which NumPy does ten times as fast."""
-    return np.array([[column.min(), column.max()] for column in points.T]).T
+    """The least and the largest coordinates [2, 3] of points [3, P]."""
+    return np.array([[row.min(), row.max()] for row in points]).T
 
 
 def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int) -> Camera | None:
-    """The camera at a point of a lamp that sees all points [P, 3], None where they all lie behind it.
+    """The camera at a point of a lamp that sees all points [3, P], None where they all lie behind it.
 
     around  [Q, 3] points around what may throw shadows on them: the rays of a sun begin before these
     size    pixels of the picture's longer side, or of a right angle where it is wider
@@ -145,13 +152,13 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
         place = middle - 4 * reach * forward
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes, -axes @ place
-    x, y, z = axes @ (points - place).T
+    x, y, z = axes @ points - (axes @ place)[:, None]
     if not parallel:
         front = z > BEHIND
         if not front.any():
             return None
         x, y = (np.clip(side[front] / z[front], -WIDEST, WIDEST) for side in (x, y))
-    low, high = _bounds(np.stack([x, y], 1))
+    low, high = _bounds(np.stack([x, y]))
     extent = max((high - low).max(), 1e-9 * max(np.abs([low, high]).max(), 1))
     focal = size / (extent if parallel else min(extent, 2.0))
     width, height = np.ceil((high - low) * focal).astype(int) + 3

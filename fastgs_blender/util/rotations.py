@@ -15,13 +15,15 @@ def unit(q: np.ndarray) -> np.ndarray:
 
 def to_matrices(q: np.ndarray) -> np.ndarray:
     """Rotation matrices [..., 3, 3] of unit quaternions [..., 4]."""
-    q = np.asarray(q, np.float64)
-    w, x, y, z = np.moveaxis(q, -1, 0)
-    return np.stack([
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
-    ], -1).reshape(*q.shape[:-1], 3, 3)
+    return np.stack(elements(q), -1).reshape(*np.shape(q)[:-1], 3, 3)
+
+
+def elements(q: np.ndarray) -> list[np.ndarray]:
+    """The nine elements [...] of the rotation matrices of unit quaternions [..., 4], row by row."""
+    w, x, y, z = np.moveaxis(np.asarray(q, np.float64), -1, 0)
+    return [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
+            2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
+            2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
 
 
 def from_matrices(matrices: np.ndarray) -> np.ndarray:

@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import carrying, carving, initial, light, nearest, passing, resample, steps, thinnest, training, visible
+from . import carrying, carving, initial, light, nearest, passing, posing, resample, steps, thinnest, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -64,7 +64,7 @@ class CPU:
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera, group.decode)
 
     surface = staticmethod(surface)
-    thinnest = staticmethod(thinnest.thinnest)
+    posed, thinnest = staticmethod(posing.posed), staticmethod(thinnest.thinnest)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
     front_to_back = staticmethod(visible.front_to_back)
 

@@ -1,21 +1,35 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The kernel that finds in which direction the Gaussians around each Gaussian spread least: the normal of their surface."""
+"""The kernel that finds in which direction the Gaussians around each Gaussian spread least: the normal of their surface.
+
+Gaussians come sorted by cells.  Eight of one row of cells look at all neighbours of these at once; the sums are of float32, whose places
+are told from the first one of them.
+"""
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import float32
+from numba.core import types
+from numba.extending import intrinsic
 
 from ...util.threads import ranges, run
 from .. import asserts
+from . import simd
 from .jit import inline, kernel
 
 SWEEPS = 4
 """Of Jacobi's rotations; a matrix of three rows is then diagonal to rounding."""
 SMALL = 1e-8
 """Share of a matrix's trace beside which an element counts as 0."""
+ALIKE = 1e-6
+"""Share of the squared trace: if no product of two rows is longer, two eigenvalues are about the same."""
 CHUNK = 4096
 """Gaussians in one piece of work."""
 FARTHEST = 1 << 20
 """Cells from the first one in which neighbours are told apart."""
+SUMS = 10
+"""Of the weights, the places (3) and the moments (6) around each Gaussian."""
 
 
 def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
@@ -24,57 +38,110 @@ def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach
     out = np.zeros((len(places), 3))
     if not len(places):
         return out
-    low = places.min(0)
-    cell = np.clip((places - low) / reach, 0, FARTHEST).astype(np.int64)
-    _, wide, deep = cell.max(0) + 3  # an empty cell at either end, so that every cell has neighbours
-    key = (cell[:, 0] * wide + cell[:, 1]) * deep + cell[:, 2]
+    x, y, z = (np.clip((axis - axis.min()) / reach, 0, FARTHEST).astype(np.int64) for axis in places.T)
+    wide, deep = y.max() + 3, z.max() + 3  # an empty cell at either end, so that every cell has neighbours
+    key = (x * wide + y) * deep + z
     beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
     order = np.argsort(key, kind="stable")
-    args = places[order], spreads[order], weights[order], key[order], beside, float(reach)
-    found = np.zeros((len(places), 3))
-    run(lambda begin, end: _thinnest(*args, begin, end, found), ranges(len(places), CHUNK))
-    out[order] = found
+    about, key = np.empty((len(order), 1 + spreads.shape[1]), np.float32), key[order]
+    about[:, 0], about[:, 1:] = weights[order], spreads[order]
+    args = places[order], about, key, key // deep, beside, float(reach), order, out
+    run(lambda begin, end: _thinnest(begin, end, *args), ranges(len(places), CHUNK))
     return out
 
 
+@intrinsic
+def weigh8(context, state, about, n, x, y, z, square):
+    """Add the Gaussian n at (x, y, z) to the sums of eight others: state [3 + SUMS, 8] is their places and then the sums; `square` is
+    1 / reach^2, about [N, 7] the Gaussian's weight and spread."""
+    def build(context, b, signature, args):
+        state, about = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 1))
+        start = simd.ir.Constant(args[2].type, 0)
+        x, y, z, square = (simd.broadcast(b, value) for value in args[3:])
+        dx, dy, dz = (value - state.floats(start, simd.LANES * axis) for axis, value in enumerate((x, y, z)))
+        near = simd.constant(b, 1.0) - (dx * dx + dy * dy + dz * dz) * square
+        with b.if_then(simd.any_of(b, near > 0.0)):
+            near = near.max(0.0)
+            row = b.mul(args[2], simd.ir.Constant(args[2].type, 7))
+            w, xx, xy, xz, yy, yz, zz = (simd.broadcast(b, about.scalar(row, column)) for column in range(7))
+            w = w * near * near
+            wx, wy, wz = w * dx, w * dy, w * dz
+            terms = (w, wx, wy, wz, w * xx + wx * dx, w * xy + wx * dy, w * xz + wx * dz, w * yy + wy * dy, w * yz + wy * dz, w * zz + wz * dz)
+            for place, term in enumerate(terms, 3):
+                state.store(start, simd.LANES * place, state.floats(start, simd.LANES * place) + term)
+        return context.get_dummy_value()
+
+    number = types.float32
+    return types.void(state, about, types.intp, number, number, number, number), build
+
+
 @kernel
-def _thinnest(places, spreads, weights, keys, beside, reach, begin, end, out):
-    c, v, first, last = np.empty((3, 3)), np.empty((3, 3)), np.empty(9, np.int64), np.empty(9, np.int64)
+def _thinnest(begin, end, places, about, keys, rows, beside, reach, order, out):
+    """The directions of the Gaussians begin..end of those sorted by keys, in out at their places in `order`."""
+    state, c, v = np.empty((3 + SUMS, simd.LANES), np.float32), np.empty((3, 3)), np.empty((3, 3))
+    first, last = np.empty(9, np.int64), np.empty(9, np.int64)
     for row in range(9):
         first[row] = last[row] = np.searchsorted(keys, keys[begin] + beside[row] - 1)
-    for p in range(begin, end):
-        if p == begin or keys[p] != keys[p - 1]:
-            for row in range(9):  # keys grow with p, so that the cells beside it only move on
-                while first[row] < len(keys) and keys[first[row]] < keys[p] + beside[row] - 1:
-                    first[row] += 1
-                last[row] = max(last[row], first[row])
-                while last[row] < len(keys) and keys[last[row]] <= keys[p] + beside[row] + 1:
-                    last[row] += 1
-        total = sx = sy = sz = 0.0
-        xx = xy = xz = yy = yz = zz = 0.0
-        for row in range(9):
+    square, p = float32(1.0 / (reach * reach)), begin
+    while p < end:
+        q = p + 1
+        while q < end and q < p + simd.LANES and rows[q] == rows[p]:
+            q += 1
+        x, y, z = places[p, 0], places[p, 1], places[p, 2]
+        for j in range(simd.LANES):
+            k = min(p + j, q - 1)
+            state[0, j], state[1, j], state[2, j] = places[k, 0] - x, places[k, 1] - y, places[k, 2] - z
+            for place in range(3, 3 + SUMS):
+                state[place, j] = 0.0
+        for row in range(9):  # keys grow with p, so that the cells beside it only move on
+            while first[row] < len(keys) and keys[first[row]] < keys[p] + beside[row] - 1:
+                first[row] += 1
+            last[row] = max(last[row], first[row])
+            while last[row] < len(keys) and keys[last[row]] <= keys[q - 1] + beside[row] + 1:
+                last[row] += 1
             for n in range(first[row], last[row]):
-                x, y, z = places[n, 0] - places[p, 0], places[n, 1] - places[p, 1], places[n, 2] - places[p, 2]
-                near = 1 - (x * x + y * y + z * z) / (reach * reach)
-                if near > 0:
-                    w = weights[n] * near * near
-                    total += w
-                    sx, sy, sz = sx + w * x, sy + w * y, sz + w * z
-                    xx, xy, xz = xx + w * (x * x + spreads[n, 0]), xy + w * (x * y + spreads[n, 1]), xz + w * (x * z + spreads[n, 2])
-                    yy, yz = yy + w * (y * y + spreads[n, 3]), yz + w * (y * z + spreads[n, 4])
-                    zz += w * (z * z + spreads[n, 5])
-        total = max(total, 1e-300)
-        sx, sy, sz = sx / total, sy / total, sz / total
-        c[0, 0], c[0, 1], c[0, 2] = xx / total - sx * sx, xy / total - sx * sy, xz / total - sx * sz
-        c[1, 0], c[1, 1], c[1, 2] = c[0, 1], yy / total - sy * sy, yz / total - sy * sz
-        c[2, 0], c[2, 1], c[2, 2] = c[0, 2], c[1, 2], zz / total - sz * sz
-        _diagonalise(c, v)
-        k = 0
-        for i in range(1, 3):
-            if c[i, i] < c[k, k]:
-                k = i
-        for i in range(3):
-            out[p, i] = v[i, k]
+                weigh8(state, about, n, float32(places[n, 0] - x), float32(places[n, 1] - y), float32(places[n, 2] - z), square)
+        for k in range(p, q):
+            j = k - p
+            total = max(np.float64(state[3, j]), 1e-30)
+            sx, sy, sz = state[4, j] / total, state[5, j] / total, state[6, j] / total
+            xx, xy, xz = state[7, j] / total - sx * sx, state[8, j] / total - sx * sy, state[9, j] / total - sx * sz
+            yy, yz, zz = state[10, j] / total - sy * sy, state[11, j] / total - sy * sz, state[12, j] / total - sz * sz
+            x0, y0, z0 = _least(xx, xy, xz, yy, yz, zz)
+            if x0 == 0.0 and y0 == 0.0 and z0 == 0.0:
+                c[0, 0], c[0, 1], c[0, 2], c[1, 1], c[1, 2], c[2, 2] = xx, xy, xz, yy, yz, zz
+                c[1, 0], c[2, 0], c[2, 1] = xy, xz, yz
+                _diagonalise(c, v)
+                i = 1 if c[1, 1] < c[0, 0] else 0
+                i = 2 if c[2, 2] < c[i, i] else i
+                x0, y0, z0 = v[0, i], v[1, i], v[2, i]
+            out[order[k], 0], out[order[k], 1], out[order[k], 2] = x0, y0, z0
+        p = q
+
+
+@inline
+def _least(xx, xy, xz, yy, yz, zz):
+    """The unit eigenvector of the smallest eigenvalue of a symmetric matrix by the cubic's formula; zeros where the next is about as small."""
+    third = (xx + yy + zz) / 3
+    a, b, c = xx - third, yy - third, zz - third
+    spread = math.sqrt(max((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6, 0.0))
+    if not spread > SMALL * third:
+        return 0.0, 0.0, 0.0
+    half = (a * (b * c - yz * yz) - xy * (xy * c - yz * xz) + xz * (xy * yz - b * xz)) / (2 * spread * spread * spread)
+    least = 2 * spread * math.cos((math.acos(min(max(half, -1.0), 1.0)) + 2 * math.pi) / 3)
+    a, b, c = a - least, b - least, c - least
+    x0, y0, z0 = xy * yz - xz * b, xz * xy - a * yz, a * b - xy * xy
+    x1, y1, z1 = xy * c - xz * yz, xz * xz - a * c, a * yz - xy * xz
+    x2, y2, z2 = b * c - yz * yz, yz * xz - xy * c, xy * yz - b * xz
+    length, length1, length2 = x0 * x0 + y0 * y0 + z0 * z0, x1 * x1 + y1 * y1 + z1 * z1, x2 * x2 + y2 * y2 + z2 * z2
+    if length1 > length:
+        x0, y0, z0, length = x1, y1, z1, length1
+    if length2 > length:
+        x0, y0, z0, length = x2, y2, z2, length2
+    length = math.sqrt(length)
+    if not length > ALIKE * 9 * third * third:
+        return 0.0, 0.0, 0.0
+    return x0 / length, y0 / length, z0 / length
 
 
 @inline

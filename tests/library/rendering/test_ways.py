@@ -26,9 +26,9 @@ def past(models, points, light, meshes=None, backend="cpu", **over):
     """The shares of the light that come past meshes and splats to points, of each point of a lamp the mean."""
     ways = Ways(load_backend(backend), [Instance(model, np.eye(4), 0.0) for model in models], meshes)
     points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
-    for side in ways.sides(light, points):
+    for side in ways.sides(light, points.T):
         for k in range(len(light.points)):
-            found[:, side.rows] += np.array(ways.past(light, k, side, points[None, side.rows], 256, **over)) / len(light.points)
+            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[None, :, side.rows], 256, **over)) / len(light.points)
     return found
 
 
