@@ -99,13 +99,18 @@ class PictureBackend(Protocol):
         """Where the Gaussians index [M] int64 of an instance are at its time, [M, 3], and the unit quaternions [M, 4] by which they are
         turned, in its model's space and in float64."""
 
-    def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
+    def contributing(self, instances: list[ViewedInstance], camera: Camera, least: float) -> list[np.ndarray]:
+        """Of each instance, which of its Gaussians may have a weight of `least` or more in a pixel: [N] bool.  It is an estimate."""
+
+    def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float,
+                 rows: np.ndarray | None = None) -> np.ndarray:
         """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.
 
         places   [N, 3] float64
         spreads  [N, 6] float64: the covariances' xx, xy, xz, yy, yz, zz
         weights  [N] float64, at a distance d multiplied by (1 - d^2 / reach^2)^2
         reach    no Gaussian farther away counts
+        rows     [M] those that are asked for, for [M, 3]; None: all
         """
 
     def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,

@@ -28,10 +28,11 @@ FACE = 1.0
 LEAST = 1e-12
 
 
-def smooth_normals(shown: Shown, backend: Any) -> np.ndarray:
+def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -> np.ndarray:
     """Unit normals [M, 3] in the world, turned to the camera, of the Gaussians of an instance that its camera shows.
 
     backend  a loaded backend (util/backends.py)
+    rows     which of the Gaussians they are; None: all.  The others are neighbours alone
     """
     instance, index = shown.instance, shown.index
     if not len(index):
@@ -45,9 +46,10 @@ def smooth_normals(shown: Shown, backend: Any) -> np.ndarray:
         weight = weight * ~instance.hidden[index]
     weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)
     reach = REACH * float(np.median(np.exp(instance.model.scale.max(1))))
-    found = backend.thinnest(shown.position, spread, weight, reach)
-    normal = shown.as_normals(found)
-    return normal if instance.surface is None else _of_surface(instance.surface, shown.world, normal)
+    found = backend.thinnest(shown.position, spread, weight, reach, rows)
+    world = shown.world if rows is None else shown.world[rows]
+    normal = shown.as_normals(found, world)
+    return normal if instance.surface is None else _of_surface(instance.surface, world, normal)
 
 
 def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
@@ -60,13 +62,13 @@ def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
     return Quantity(3, lambda shown: found[shown.instance][shown.index])
 
 
-def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
+def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest() in NumPy."""
-    square = np.zeros((len(places), 3, 3))
-    rows, columns = np.triu_indices(3)
-    square[:, rows, columns] = square[:, columns, rows] = spreads
-    out = np.zeros((len(places), 3))
-    for p, place in enumerate(places):
+    square, asked = np.zeros((len(places), 3, 3)), places if rows is None else places[rows]
+    i, j = np.triu_indices(3)
+    square[:, i, j] = square[:, j, i] = spreads
+    out = np.zeros((len(asked), 3))
+    for p, place in enumerate(asked):
         away = places - place
         w = weights * np.maximum(1 - (away * away).sum(1) / reach**2, 0) ** 2
         w = w / w.sum()

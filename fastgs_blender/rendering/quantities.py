@@ -70,15 +70,15 @@ class Shown:
         turn = self._posed[1] if self._backend else rotations.unit(quaternions_at(self.instance.model, self.instance.t, self.index))
         return np.stack(rotations.elements(turn)).reshape(3, 3, -1) * self.scale
 
-    def as_normals(self, axes: np.ndarray) -> np.ndarray:
-        """Directions [M, 3] in the model's space as unit normals in the world, turned to the camera: [M, 3].
+    def as_normals(self, axes: np.ndarray, world: np.ndarray) -> np.ndarray:
+        """Directions [M, 3] in the model's space, at places [M, 3] in the world, as unit normals [M, 3] there, turned to the camera.
 
         Normals are transformed by the inverse of the placement's transpose.
         """
         normal = np.linalg.pinv(self.instance.placement[:3, :3]).T @ axes.T
         normal /= np.maximum(np.sqrt((normal * normal).sum(0)), 1e-30)
         to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
-        towards = -to_world[:3, 2:3] if self.instance.camera.orthographic else to_world[:3, 3:] - self.world.T
+        towards = -to_world[:3, 2:3] if self.instance.camera.orthographic else to_world[:3, 3:] - world.T
         return np.where((normal * towards).sum(0) < 0, -normal, normal).T
 
     def pixels(self, instance: ViewedInstance) -> tuple[np.ndarray, np.ndarray]:

@@ -37,6 +37,8 @@ from .ways import Side, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
+LEAST = 3e-4
+"""Gaussians that have less weight than this in each pixel need no light of their own."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
 
@@ -66,17 +68,22 @@ class SceneLight:
         object.__setattr__(self, "levels", tuple(self.levels) or tuple(range(len(self.lamps))))
 
     def lit(self, instances: Sequence[Instance], camera: Camera, backend: Any,
-            progress: Callable[[float], None] = lambda share: None, passes: bool = False) -> list[Instance]:
+            progress: Callable[[float], None] = lambda share: None, passes: bool = False, still: bool = False) -> list[Instance]:
         """The instances with the colours that they have in this light before a camera; those that take none are as they were.
 
         backend  a loaded backend (util/backends.py)
         passes   whether all of them get a Shading, too, which the passes of lamps read (shading.py)
+        still    whether the picture shows them at their own time through the middle of the lens alone: the colours of Gaussians that it
+                 does not show are then not computed
         """
         wanted = [number for number, each in enumerate(instances) if (passes or each.settings.takes_light) and len(each.model)]
         if not wanted:
             return list(instances)
         out = list(instances)
-        surfaces = [_Surface(instances[number].viewed(camera), backend) for number in wanted]
+        viewed = {number: each.viewed(camera) for number, each in enumerate(instances) if len(each.model)}
+        marks = backend.contributing(list(viewed.values()), camera, LEAST) if still else [None] * len(viewed)
+        shows = dict(zip(viewed, marks, strict=True))
+        surfaces = [_Surface(viewed[number], backend, shows[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
         arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
@@ -194,11 +201,13 @@ class _Surface:
     local  [M, 3] their places in the model's space
     """
 
-    def __init__(self, instance: ViewedInstance, backend: Any):
+    def __init__(self, instance: ViewedInstance, backend: Any, shows: np.ndarray | None):
         shown = Shown.all_of(instance, backend)
-        self.instance, self.index, self.local, self.position = instance, shown.index, shown.position, shown.world.T
-        self.axes = (instance.placement[:3, :3] @ shown.spread.reshape(3, -1)).reshape(shown.spread.shape)
-        self.normal = smooth_normals(shown, backend).T
+        rows = np.arange(len(shown.index)) if shows is None else np.flatnonzero(shows[shown.index])
+        spread = shown.spread[..., rows]
+        self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
+        self.axes = (instance.placement[:3, :3] @ spread.reshape(3, -1)).reshape(spread.shape)
+        self.normal = smooth_normals(shown, backend, rows).T
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:
         """Factors [M, 3] from captured colour to a mixture of it and the estimated unlit one."""

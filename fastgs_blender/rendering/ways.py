@@ -127,7 +127,8 @@ def _bare(instance: Instance, backend: Any) -> Instance:
     place, turn = backend.posed(instance, index)
     scale = np.exp(model.scale[index].astype(np.float64))
     now = Slice(index, place, turn, scale, opacity[index], np.zeros((len(index), 3)), np.zeros((len(index), 3)))
-    return replace(instance.part(index, still(replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), now)), t=0.0)
+    bare = still(replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), now)
+    return replace(instance.part(index, bare), t=0.0)
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:
@@ -157,13 +158,14 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
         front = z > BEHIND
         if not front.any():
             return None
-        x, y = (np.clip(side[front] / z[front], -WIDEST, WIDEST) for side in (x, y))
+        x, y, z = x[front], y[front], z[front]
+        x, y = (np.clip(side / z, -WIDEST, WIDEST) for side in (x, y))
     low, high = _bounds(np.stack([x, y]))
     extent = max((high - low).max(), 1e-9 * max(np.abs([low, high]).max(), 1))
     focal = size / (extent if parallel else min(extent, 2.0))
     width, height = np.ceil((high - low) * focal).astype(int) + 3
     cx, cy = 1.5 - low * focal
-    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0)
+    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0, far=float(z.max()))
 
 
 def across(direction: np.ndarray) -> np.ndarray:

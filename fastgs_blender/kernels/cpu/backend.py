@@ -66,6 +66,7 @@ class CPU:
     surface = staticmethod(surface)
     posed, thinnest = staticmethod(posing.posed), staticmethod(thinnest.thinnest)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
+    contributing = staticmethod(passing.contributing)
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):

@@ -5,6 +5,8 @@ Splats and triangles are listed by tile, as for a picture; the points of a tile 
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import float32
 
@@ -28,8 +30,15 @@ PART = 16
 PARTS = (TILE // PART) ** 2
 CHUNK = 16_384
 """Points in one piece of work."""
+SMALL, COARSE = 400, 2
+"""Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
+WIDER = 2.0
+"""Factor to the blur of splats there: with 4 those smaller than a pixel hide too much, with 1 they fall between the pixels."""
+NONE = np.empty(0, np.bool_)
 BATCH = 16
 """Points of a tile that go past its splats together, of neighbouring depths."""
+LAYERS = 2047
+"""By which points are sorted: what is sorted has as many bits as one pass takes."""
 DARK = 1e-3
 """Share of the light at which it counts as stopped."""
 EXP2 = (0.999999945, 0.693143204, 0.240179499, 0.0552996223, 0.00921088407, 0.00094755432)
@@ -41,13 +50,44 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
     asserts.past_splats(points, over)
     layout = Layout(instances, False, plane=True)
     splats = project_instances(instances, camera, layout)
+    return _past(splats, layout, camera, lambda grid: _by_tile(grid, TILE, camera, points, over), float32(0.0), NONE)
+
+
+def contributing(instances, camera, least: float) -> list[np.ndarray]:
+    """PictureBackend.contributing(): where pictures are large, looked at through fewer pixels, in which splats are a little wider."""
+    by, wider = (COARSE, WIDER) if max(camera.width, camera.height) > SMALL else (1, 1.0)
+    coarse = camera.stretched(*(-(-side // by) for side in (camera.width, camera.height)))
+    width, height = coarse.width + 2, coarse.height + 2  # one more to each side: splats reach in
+    coarse = replace(coarse, width=width, height=height, cx=coarse.cx + 1, cy=coarse.cy + 1, window=(0, 0, width, height))
+    rasters = [replace(each.model.raster, blur=each.model.raster.blur * wider / by**2) for each in instances]
+    drawn = [replace(each, camera=coarse, model=replace(each.model, raster=own)) for each, own in zip(instances, rasters, strict=True)]
+    layout = Layout(drawn, False, plane=True)
+    splats, marks = project_instances(drawn, coarse, layout), np.zeros(sum(len(each.model) for each in drawn), np.bool_)
+    y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+    seen = np.stack([x + 0.5, y + 0.5, np.full(len(x), np.inf)], 1)
+
+    def by_tile(grid):
+        part = (y // TILE * grid[2] + x // TILE) * PARTS + y % TILE // PART * (TILE // PART) + x % TILE // PART
+        return seen, *list_points(np.arange(len(x), dtype=np.int32), part.astype(np.int32), grid[2] * grid[3] * PARTS)
+
+    _past(splats, layout, coarse, by_tile, float32(least), marks)
+    found = []
+    for each, pieces in zip(drawn, splats.runs, strict=True):
+        found.append(np.zeros(len(each.model), bool))
+        for first, number in pieces:
+            found[-1][splats.source[first:first + number]] = marks[first:first + number]
+    return found
+
+
+def _past(splats, layout, camera, by_tile, least, marks) -> np.ndarray:
+    """What transmitted() finds for points as by_tile(grid of tiles) lists them."""
     listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera, TILE)
-    seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
-    out = np.ones(len(points), np.float32)
+    seen, begins, asked = by_tile(listing.grid)
+    out = np.ones(len(seen), np.float32)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, raster.CHANNEL + layout.plane, begins, asked, seen,
-                camera.width / 2, camera.height / 2, out)
+                camera.width / 2, camera.height / 2, out, least, marks)
         run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
     return out
 
@@ -56,7 +96,7 @@ def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> n
     """PictureBackend.past_triangles()."""
     asserts.past_splats(points, over)
     occluder = Occluder.of(triangles, camera)
-    seen, begins, asked = _by_tile(occluder.listing.grid, raster.TILE, camera, points, over)
+    seen, begins, asked = _by_tile(occluder.listing.grid, raster.TILE, camera, points, over, False)
     out = np.ones(len(points), np.float32)
     rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
     run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
@@ -68,9 +108,9 @@ def _pieces(tiles: int, least: int = TILES) -> list[tuple[int, int]]:
     return ranges(tiles, max(least, -(-tiles // (4 * thread_count()))))
 
 
-def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray):
+def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray, by_depth: bool = True):
     """Points by part of tiles: x and y in pixels and the depth that counts of each [P, 3], where each part's points begin in a list of
-    their indices, [parts + 1], and the list, the nearest first.
+    their indices, [parts + 1], and the list, by about their depth, where that is asked for.
 
     size: pixels of a tile's side; its parts, one after another, have PART.  Points beside the window are in the nearest part, those behind
     the camera in none.
@@ -80,7 +120,10 @@ def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray):
             tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
             size // PART, seen, part)
     run(lambda a, b: place(a, b, *rest), ranges(len(points), CHUNK))
-    order = order_by(seen[:, 2].astype(np.float32), np.arange(len(points), dtype=np.int32))
+    order, depth = np.arange(len(points), dtype=np.int32), seen[:, 2]
+    if by_depth:
+        low, high = depth.min(), depth.max()
+        order = order_by((LAYERS / max(high - low, 1e-30) * (depth - low)).astype(np.uint32).view(np.float32), order)
     return seen, *list_points(order, part, grid[2] * grid[3] * parts)
 
 
@@ -135,20 +178,27 @@ def exp2(x):
 
 @kernel
 def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
-                out):
-    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
-    state, splat, near = np.empty((4, BATCH), np.float32), np.empty((14, 0), np.float32), np.empty(0, np.int32)
+                out, least, marks):
+    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes.
+
+    Where marks [splats] is not empty, it becomes True for splats that take `least` or more of the light on the way to one of the points.
+    """
+    state, box, splat = np.empty((4, BATCH), np.float32), np.empty((4, 0), np.float32), np.empty((0, 12), np.float32)
+    near, inside, marking = np.empty(0, np.int32), np.empty(0, np.bool_), len(marks) > 0
     px, py, limit, light = state[0], state[1], state[2], state[3]
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
         if total == 0 or begins[tile * PARTS] == begins[(tile + 1) * PARTS]:
             continue
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
-        if splat.shape[1] < total:
-            splat, near = np.empty((14, 2 * total), np.float32), np.empty(2 * total, np.int32)
-        gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, splat)
+        if len(splat) < total:
+            box, splat = np.empty((4, 2 * total), np.float32), np.empty((2 * total, 12), np.float32)
+            near, inside = np.empty(2 * total, np.int32), np.empty(2 * total, np.bool_)
+        gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, box, splat)
         for part in range(tile * PARTS, (tile + 1) * PARTS):
-            found = pick(begins[part], begins[part + 1], asked, seen, left, top, total, splat, near)
+            if begins[part] == begins[part + 1]:
+                continue
+            found = pick(begins[part], begins[part + 1], asked, seen, left, top, total, box, inside, near)
             for begin in range(begins[part], begins[part + 1], BATCH):
                 count, farthest = min(BATCH, begins[part + 1] - begin), float32(-np.inf)
                 for j in range(BATCH):
@@ -159,19 +209,22 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
                         farthest = max(farthest, limit[j])
                 for n in range(found):
                     k = near[n]
-                    if not splat[4, k] < farthest:
+                    depth, mx, my, a, b, c = splat[k, 0], splat[k, 1], splat[k, 2], splat[k, 3], splat[k, 4], splat[k, 5]
+                    z, slope_x, slope_y, peak, most, cut = splat[k, 6], splat[k, 7], splat[k, 8], splat[k, 9], splat[k, 10], splat[k, 11]
+                    if not depth < farthest:
                         break
-                    depth, mx, my, a, b, c = splat[4, k], splat[5, k], splat[6, k], splat[7, k], splat[8, k], splat[9, k]
-                    z, slope_x, slope_y, peak = splat[10, k], splat[11, k], splat[12, k], splat[13, k]
-                    i = ids[starts[tile] + k]
-                    most, cut = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
+                    taking = np.int32(0)
                     for j in range(BATCH):
                         dx, dy = px[j] - mx, py[j] - my
                         u, v = a * dx + b * dy, c * dy
                         exponent = peak - u * u - v * v
                         before = max(depth, z + slope_x * px[j] + slope_y * py[j])
                         alpha = min(exp2(max(exponent, float32(-8.0))), most)
-                        light[j] *= float32(1.0) - (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
+                        taken = light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
+                        light[j] -= taken
+                        taking += np.int32(taken >= least)
+                    if marking and taking > 0:
+                        marks[ids[starts[tile] + k]] = True
                     if n % 8 == 7:
                         brightest = float32(0.0)
                         for j in range(count):
@@ -189,32 +242,39 @@ def within(x):
 
 
 @inline
-def pick(begin, end, asked, seen, left, top, total, splat, near):
-    """Which of a tile's splats reach the box around the points begin..end of a part, into near; returns their number."""
-    west, east, north, south = np.inf, -np.inf, np.inf, -np.inf
+def pick(begin, end, asked, seen, left, top, total, box, inside, near):
+    """Which of a tile's splats reach the box around the points begin..end of a part, into near; returns their number.
+
+    inside [splats] is scratch: what is told first of all of them takes vector instructions.
+    """
+    west, east, north, south = float32(np.inf), float32(-np.inf), float32(np.inf), float32(-np.inf)
     for q in range(begin, end):
-        x, y = within(seen[asked[q], 0] - left), within(seen[asked[q], 1] - top)
+        x, y = float32(within(seen[asked[q], 0] - left)), float32(within(seen[asked[q], 1] - top))
         west, east, north, south = min(west, x), max(east, x), min(north, y), max(south, y)
+    for k in range(total):
+        inside[k] = (box[0, k] >= west) & (box[1, k] <= east) & (box[2, k] >= north) & (box[3, k] <= south)
     found = 0
-    for k in range(total if end > begin else 0):
+    for k in range(total):
         near[found] = k
-        found += (splat[0, k] >= west) & (splat[1, k] <= east) & (splat[2, k] >= north) & (splat[3, k] <= south)
+        found += inside[k]
     return found
 
 
 @inline
-def gather(start, total, ids, geometry, attributes, plane, left, top, from_middle_x, from_middle_y, splat):
-    """What transmitted() reads of the splats of a tile's list, side by side in memory [14, splats], pixels counted from its corner."""
+def gather(start, total, ids, geometry, attributes, plane, left, top, from_middle_x, from_middle_y, box, splat):
+    """What transmitted() reads of the splats of a tile's list, pixels counted from its corner: the boxes that they fill [4, splats], and
+    the rest of each side by side [splats, 12]."""
     for k in range(total):
         i = ids[start + k]
         mx, my = geometry[i, raster.MEAN_X] - left, geometry[i, raster.MEAN_Y] - top
         rx, ry = attributes[i, raster.RADIUS_X], attributes[i, raster.RADIUS_Y]
-        splat[0, k], splat[1, k], splat[2, k], splat[3, k] = mx + rx, mx - rx, my + ry, my - ry
-        splat[4, k], splat[5, k], splat[6, k] = attributes[i, raster.DEPTH], mx, my
-        splat[7, k], splat[8, k], splat[9, k] = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+        box[0, k], box[1, k], box[2, k], box[3, k] = mx + rx, mx - rx, my + ry, my - ry
+        splat[k, 0], splat[k, 1], splat[k, 2] = attributes[i, raster.DEPTH], mx, my
+        splat[k, 3], splat[k, 4], splat[k, 5] = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
         slope_x, slope_y = attributes[i, plane + 1], attributes[i, plane + 2]
-        splat[10, k] = attributes[i, plane] + slope_x * from_middle_x + slope_y * from_middle_y
-        splat[11, k], splat[12, k], splat[13, k] = slope_x, slope_y, attributes[i, raster.LOG2_OPACITY]
+        splat[k, 6] = attributes[i, plane] + slope_x * from_middle_x + slope_y * from_middle_y
+        splat[k, 7], splat[k, 8], splat[k, 9] = slope_x, slope_y, attributes[i, raster.LOG2_OPACITY]
+        splat[k, 10], splat[k, 11] = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
 
 
 @kernel

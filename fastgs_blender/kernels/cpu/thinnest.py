@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The kernel that finds in which direction the Gaussians around each Gaussian spread least: the normal of their surface.
 
-Gaussians come sorted by cells.  Eight of one row of cells look at all neighbours of these at once; the sums are of float32, whose places
-are told from the first one of them.
+Gaussians come sorted by cells.  Eight of one row of cells look at all neighbours of these at once.  The sums are of float32, and their
+places are told from the corner of a cell, so that rounding is the same whichever eight these are, and whatever happens elsewhere.
 """
 from __future__ import annotations
 
@@ -28,25 +28,36 @@ CHUNK = 4096
 """Gaussians in one piece of work."""
 FARTHEST = 1 << 20
 """Cells from the first one in which neighbours are told apart."""
+RUN = 16
+"""Cells in a row whose places are told from one corner."""
 SUMS = 10
 """Of the weights, the places (3) and the moments (6) around each Gaussian."""
 
 
-def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float) -> np.ndarray:
+def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest()."""
     asserts.thinnest(places, spreads, weights)
-    out = np.zeros((len(places), 3))
-    if not len(places):
+    out = np.zeros((len(places) if rows is None else len(rows), 3))
+    if not len(out):
         return out
-    x, y, z = (np.clip((axis - axis.min()) / reach, 0, FARTHEST).astype(np.int64) for axis in places.T)
+    cells = [np.floor(axis / reach) for axis in places.T]
+    x, y, z = (np.minimum(axis - axis.min(), FARTHEST).astype(np.int64) for axis in cells)
     wide, deep = y.max() + 3, z.max() + 3  # an empty cell at either end, so that every cell has neighbours
     key = (x * wide + y) * deep + z
     beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
     order = np.argsort(key, kind="stable")
     about, key = np.empty((len(order), 1 + spreads.shape[1]), np.float32), key[order]
     about[:, 0], about[:, 1:] = weights[order], spreads[order]
-    args = places[order], about, key, key // deep, beside, float(reach), order, out
-    run(lambda begin, end: _thinnest(begin, end, *args), ranges(len(places), CHUNK))
+    who, into = np.arange(len(order)), order
+    if rows is not None:
+        number = np.full(len(order), -1)
+        number[rows] = np.arange(len(rows))
+        who = np.flatnonzero(number[order] >= 0)
+        into = number[order[who]]
+    runs = np.floor(cells[2] / RUN)
+    lines = (key // deep * (deep // RUN + 2) + (np.clip(runs - runs.min(), 0, FARTHEST)[order]).astype(np.int64))[who]
+    args = places[order], about, key, lines, who, beside, float(reach), into, out
+    run(lambda begin, end: _thinnest(begin, end, *args), ranges(len(who), CHUNK))
     return out
 
 
@@ -66,8 +77,8 @@ def weigh8(context, state, about, n, x, y, z, square):
             w, xx, xy, xz, yy, yz, zz = (simd.broadcast(b, about.scalar(row, column)) for column in range(7))
             w = w * near * near
             wx, wy, wz = w * dx, w * dy, w * dz
-            terms = (w, wx, wy, wz, w * xx + wx * dx, w * xy + wx * dy, w * xz + wx * dz, w * yy + wy * dy, w * yz + wy * dz, w * zz + wz * dz)
-            for place, term in enumerate(terms, 3):
+            moments = w * xx + wx * dx, w * xy + wx * dy, w * xz + wx * dz, w * yy + wy * dy, w * yz + wy * dz, w * zz + wz * dz
+            for place, term in enumerate((w, wx, wy, wz, *moments), 3):
                 state.store(start, simd.LANES * place, state.floats(start, simd.LANES * place) + term)
         return context.get_dummy_value()
 
@@ -76,28 +87,32 @@ def weigh8(context, state, about, n, x, y, z, square):
 
 
 @kernel
-def _thinnest(begin, end, places, about, keys, rows, beside, reach, order, out):
-    """The directions of the Gaussians begin..end of those sorted by keys, in out at their places in `order`."""
+def _thinnest(begin, end, places, about, keys, lines, who, beside, reach, into, out):
+    """The directions around the Gaussians who[begin:end] of those sorted by keys, in out at their places `into`.
+
+    lines [len(who)]: equal for those whose places are told from one corner
+    """
     state, c, v = np.empty((3 + SUMS, simd.LANES), np.float32), np.empty((3, 3)), np.empty((3, 3))
     first, last = np.empty(9, np.int64), np.empty(9, np.int64)
     for row in range(9):
-        first[row] = last[row] = np.searchsorted(keys, keys[begin] + beside[row] - 1)
+        first[row] = last[row] = np.searchsorted(keys, keys[who[begin]] + beside[row] - 1)
     square, p = float32(1.0 / (reach * reach)), begin
     while p < end:
         q = p + 1
-        while q < end and q < p + simd.LANES and rows[q] == rows[p]:
+        while q < end and q < p + simd.LANES and lines[q] == lines[p]:
             q += 1
-        x, y, z = places[p, 0], places[p, 1], places[p, 2]
+        x, y = math.floor(places[who[p], 0] / reach) * reach, math.floor(places[who[p], 1] / reach) * reach
+        z = math.floor(places[who[p], 2] / (RUN * reach)) * (RUN * reach)
         for j in range(simd.LANES):
-            k = min(p + j, q - 1)
+            k = who[min(p + j, q - 1)]
             state[0, j], state[1, j], state[2, j] = places[k, 0] - x, places[k, 1] - y, places[k, 2] - z
             for place in range(3, 3 + SUMS):
                 state[place, j] = 0.0
         for row in range(9):  # keys grow with p, so that the cells beside it only move on
-            while first[row] < len(keys) and keys[first[row]] < keys[p] + beside[row] - 1:
+            while first[row] < len(keys) and keys[first[row]] < keys[who[p]] + beside[row] - 1:
                 first[row] += 1
             last[row] = max(last[row], first[row])
-            while last[row] < len(keys) and keys[last[row]] <= keys[q - 1] + beside[row] + 1:
+            while last[row] < len(keys) and keys[last[row]] <= keys[who[q - 1]] + beside[row] + 1:
                 last[row] += 1
             for n in range(first[row], last[row]):
                 weigh8(state, about, n, float32(places[n, 0] - x), float32(places[n, 1] - y), float32(places[n, 2] - z), square)
@@ -115,13 +130,13 @@ def _thinnest(begin, end, places, about, keys, rows, beside, reach, order, out):
                 i = 1 if c[1, 1] < c[0, 0] else 0
                 i = 2 if c[2, 2] < c[i, i] else i
                 x0, y0, z0 = v[0, i], v[1, i], v[2, i]
-            out[order[k], 0], out[order[k], 1], out[order[k], 2] = x0, y0, z0
+            out[into[k], 0], out[into[k], 1], out[into[k], 2] = x0, y0, z0
         p = q
 
 
 @inline
 def _least(xx, xy, xz, yy, yz, zz):
-    """The unit eigenvector of the smallest eigenvalue of a symmetric matrix by the cubic's formula; zeros where the next is about as small."""
+    """The unit eigenvector of the smallest eigenvalue of a symmetric matrix, by the cubic's formula; zeros where two are about the same."""
     third = (xx + yy + zz) / 3
     a, b, c = xx - third, yy - third, zz - third
     spread = math.sqrt(max((a * a + b * b + c * c + 2 * (xy * xy + xz * xz + yz * yz)) / 6, 0.0))

@@ -49,6 +49,8 @@ def test_the_kernel_is_the_equation():
     for reach in (0.05, 0.4, 3.0):
         one, other = compiled(places, spreads, weights, reach), thinnest(places, spreads, weights, reach)
         np.testing.assert_allclose(np.abs((one * other).sum(1)), 1, atol=1e-6)
+        rows = rng.permutation(120)[:40]
+        assert np.array_equal(compiled(places, spreads, weights, reach, rows), one[rows])
     assert compiled(places[:0], spreads[:0], weights[:0], 1.0).shape == (0, 3)
 
 

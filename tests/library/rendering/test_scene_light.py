@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Scene light on analytic scenes: what a lamp sends to a wall, and what stands in its way."""
+from dataclasses import replace
+
 import numpy as np
 import pytest
 
@@ -13,6 +15,7 @@ from fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.relight import SceneLight
 from fastgs_blender.rendering.shadow import Light
+from fastgs_blender.util.backends import load_backend
 
 LIT = ObjectSettings(captured_light=0.0, lamp_light=1.0, shadows=1.0)
 GREY = 0.6
@@ -183,6 +186,20 @@ def test_the_oracle_agrees():
     camera = fg.Camera(24, 24, 24, 24, 12, 12, np.eye(4))
     models = [Instance(wall(4.0, 2.2, 0.2), np.eye(4), 0.0, LIT), Instance(wall(3.0, 0.4, 0.1), np.eye(4), 0.0, LIT)]
     assert np.allclose(lit(models, [sun], camera=camera), lit(models, [sun], camera=camera, backend="reference"), atol=2e-3)
+
+
+def test_what_the_picture_does_not_show_is_not_computed():
+    """Behind a wall nothing gets light of its own; the picture is that of all light to 2/255, with specks smaller than pixels too."""
+    rng = np.random.default_rng(2)
+    dust = replace(wall(3.5, 2.0, 0.1), position=wall(3.5, 2.0, 0.1).position + rng.normal(0, 0.1, (1600, 3)).astype(np.float32),
+                   scale=rng.normal(-4.5, 0.8, (1600, 3)).astype(np.float32), opacity=rng.normal(0, 2, 1600).astype(np.float32))
+    light = SceneLight(((Lamp(Light([(0, -1, 1.0)]), (9.0, 9.0, 9.0)), None),), board(0, 0, 2.0, 0.3))
+    instances = [Instance(model, np.eye(4), 0.0, LIT) for model in (wall(), dust, wall(5.0))]
+    for camera in (CAMERA, CAMERA.stretched(480, 480)):
+        found, whole = (light.lit(instances, camera, load_backend("cpu"), still=still) for still in (True, False))
+        assert not found[2].model.features.any() and whole[2].model.features.any()
+        one, other = (fg.render(each, camera)["rgb"] for each in (found, whole))
+        assert other.max() > 0.2 and np.abs(one - other).max() < 2 / 255
 
 
 def test_wrong_colours_are_told():
