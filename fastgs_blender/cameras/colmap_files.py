@@ -5,10 +5,10 @@ Every count is checked against the file's length before it is believed.  (colmap
 """
 import io
 import struct
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -91,12 +91,12 @@ def read_points(folder: Path) -> Points | None:
     return None
 
 
-def _camera(where, model, width, height, parameters) -> ColmapCamera:
+def _camera(where: str, model: Any, width: int, height: int, parameters: Sequence[float]) -> ColmapCamera:
     model = NUMBERS.get(model, model)
     if model not in MODELS:
         raise FastGSError(f"{where} has the model {model}, which is not known here; undistort the pictures with colmap image_undistorter.")
-    _, lens, names = MODELS[model]
-    names = names.split()
+    _, lens, words = MODELS[model]
+    names = words.split()
     if len(names) != len(parameters):
         raise FastGSError(f"{where} has {len(parameters)} parameters, but {model} has {len(names)}.")
     values = dict(zip(names, parameters))

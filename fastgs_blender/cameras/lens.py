@@ -61,7 +61,7 @@ class Lens:
     @classmethod
     def named(cls, model: str, coefficients: dict, skew: float = 0.0) -> Lens:
         """The lens with these named coefficients (k1 ..., p1, p2), those not named being 0."""
-        names = COEFFICIENTS.get(model)
+        names = COEFFICIENTS.get(model, ())
         unknown = set(coefficients) - set(names or coefficients)
         if unknown:
             raise FastGSError(f"the lens model {model!r} has no {', '.join(sorted(unknown))}; it has {', '.join(names)}.")

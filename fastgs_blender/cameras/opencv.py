@@ -6,6 +6,7 @@ k4 k5 k6, of which the later ones may be missing; the fisheye model has k1 k2 k3
 """
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -54,7 +55,8 @@ class Calibrated:
         return poses.intrinsics(where, m[0, 0] * sx, m[1, 1] * sy, (m[0, 2] + 0.5) * sx, (m[1, 2] + 0.5) * sy, *size)
 
 
-def camera(name: str, where: str, matrix, distortion, rotation, translation, size=None, fisheye: bool = False) -> Calibrated:
+def camera(name: str, where: str, matrix: object, distortion: object, rotation: object, translation: object,
+           size: Any = None, fisheye: bool = False) -> Calibrated:
     """A checked camera; `where` (file and camera) is in front of each FastGSError.
 
     matrix       3 x 3
@@ -76,7 +78,7 @@ def camera(name: str, where: str, matrix, distortion, rotation, translation, siz
     return Calibrated(name, matrix, lens_of(distortion, fisheye, matrix[0, 1] / matrix[0, 0], where), pose, size)
 
 
-def lens_of(distortion, fisheye: bool, skew: float, where: str) -> Lens:
+def lens_of(distortion: object, fisheye: bool, skew: float, where: str) -> Lens:
     """The lens with OpenCV's vector of distortion, None or of any length."""
     given = np.ravel(_array([] if distortion is None else distortion, f"{where}: its distortion"))
     most = 4 if fisheye else 8
@@ -93,7 +95,7 @@ def lens_of(distortion, fisheye: bool, skew: float, where: str) -> Lens:
 def brown(k: Sequence[float], p: tuple[float, float], skew: float, reach: float, where: str) -> Lens:
     """The lens of Brown's k1 to k4 and OpenCV's p1, p2; one with k4 is fitted up to the radius `reach`, as OpenCV has no r^8."""
     if k[3]:
-        lens = fitted(lambda r: r * (1 + r**2 * (k[0] + r**2 * (k[1] + r**2 * (k[2] + r**2 * k[3])))), reach, where)
+        lens = fitted(lambda r: r * np.polyval([*k[3::-1], 1], r**2), reach, where)
         return Lens("opencv", lens.k, p, skew)
     return Lens("opencv", tuple(k[:3]), p, skew)
 
@@ -111,7 +113,7 @@ def fitted(distorted: Callable[[np.ndarray], np.ndarray], reach: float, where: s
     return lens
 
 
-def from_rodrigues(vector, where: str) -> np.ndarray:
+def from_rodrigues(vector: object, where: str) -> np.ndarray:
     """The rotation [3, 3] about an axis [3] by its length in radians."""
     vector = poses.numbers(vector, (3,), where)
     if np.abs(vector).max() > 1e3:
@@ -140,7 +142,7 @@ def upright_axes(given: Sequence[np.ndarray]) -> str:
     return max(("RDF", -up[1]), ("RFU", up[2]), ("RUB", up[1]), key=lambda pair: pair[1])[0]
 
 
-def _array(value, where: str) -> np.ndarray:
+def _array(value: object, where: str) -> np.ndarray:
     """Finite numbers of any shape, at most two dimensions."""
     try:
         if isinstance(value, (str, bool, dict)):

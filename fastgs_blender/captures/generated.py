@@ -63,7 +63,7 @@ def write_points(path, xyz: np.ndarray, rgb: np.ndarray, t: np.ndarray) -> None:
     for i, name in enumerate(("red", "green", "blue")):
         table[name] = rgb[:, i]
     table["t"] = t
-    properties = "".join(f"property {'uchar' if table.dtype[name] == np.uint8 else 'float'} {name}\n" for name in table.dtype.names)
+    properties = "".join(f"property {'uchar' if table.dtype[name] == np.uint8 else 'float'} {name}\n" for name in table.dtype.names or ())
     header = f"ply\nformat binary_little_endian 1.0\nelement vertex {len(table)}\n{properties}end_header\n"
     with open(path, "wb") as file:
         file.write(header.encode() + table.tobytes())

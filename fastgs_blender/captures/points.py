@@ -27,7 +27,7 @@ def _points(path: Path) -> Points:
     names = header.names
     if not {"x", "y", "z"} <= names:
         raise FastGSError("it has no vertices with x, y and z.")
-    groups = {"xyz": ("x", "y", "z")}
+    groups: dict[str, tuple[str, ...]] = {"xyz": ("x", "y", "z")}
     rgb = next((three for three in (("red", "green", "blue"), ("r", "g", "b")) if set(three) <= names), None)
     if rgb:
         groups["rgb"] = rgb
@@ -38,6 +38,6 @@ def _points(path: Path) -> Points:
     colours = columns.get("rgb")
     if colours is None:
         colours = np.full_like(columns["xyz"], GREY)
-    elif all(p.code[0] in "iu" for p in header.vertex.properties if p.name in rgb):
+    elif all(p.code[0] in "iu" for p in header.vertex.properties if p.name in (rgb or ())):
         colours = colours / 255
     return usable(columns["xyz"], colours, columns["t"][:, 0] if time else None)

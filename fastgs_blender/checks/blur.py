@@ -24,7 +24,7 @@ def blur_of(rgb: np.ndarray, valid: np.ndarray | None = None) -> float:
 
     valid  [h, w] bool or None: what counts
     """
-    grey = rgb.astype(np.float32) @ np.float32([0.299, 0.587, 0.114]) / 255
+    grey = rgb.astype(np.float32) @ np.array([0.299, 0.587, 0.114], np.float32) / 255
     ratio = ratio_of(grey, valid)
     return float(np.interp(-ratio, -RATIOS, SIGMAS)) if np.isfinite(ratio) else np.nan
 

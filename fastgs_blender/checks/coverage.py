@@ -91,7 +91,7 @@ def plan(space: Space, looked: Looked) -> str:
     for view, camera in space.cameras.items():
         place = at(space.planned(camera.centre[None]))[0]
         toward = space.planned(camera.world_to_camera[2:3, :3])[0, :2] * [1, -1]
-        length = np.linalg.norm(toward)
+        length = float(np.linalg.norm(toward))
         toward = toward / max(length, 1e-9)
         half = np.arctan(camera.width / 2 / camera.fx)
         wedge = [place + 34 * (np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ toward) for t in (-half, half)]

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks exposure: differences of brightness and white balance between cameras, dark and burnt-out pictures, changes of light over time."""
+from collections.abc import Iterable
 from contextlib import suppress
 
 import numpy as np
@@ -108,7 +109,7 @@ def _uneven(section: Section, even, gains, whole) -> None:
                             "balance than the others.", advice, tints, ("tint", _farthest(t for _, t in tints.values()), "times"))
 
 
-def _farthest(gains) -> float:
+def _farthest(gains: Iterable[float]) -> float:
     return round(max(gains, key=lambda gain: abs(np.log(gain))), 3)
 
 

@@ -213,7 +213,7 @@ def _hexplane(weights: Weights, position: np.ndarray, t: float) -> np.ndarray:
     place = np.concatenate([place, np.full((len(place), 1), float(t))], 1)
     found, scale = [], 0
     while f"grid.grids.{scale}.0" in weights:
-        product = 1.0
+        product: float | np.ndarray = 1.0
         for k, (i, j) in enumerate(PLANES):
             product = product * _sampled(weights[f"grid.grids.{scale}.{k}"], place[:, i], place[:, j])
         found.append(product)

@@ -89,7 +89,7 @@ def sequences_among(names: Iterable[str], loose: bool = False) -> dict[tuple[str
 def state_of(name: str) -> int:
     """The number of the state of a training that a name is of; -1 where it is of none."""
     saved = SAVED.search(name)
-    return int(saved[saved.lastindex]) if saved else -1
+    return int(saved[saved.lastindex or 0]) if saved else -1
 
 
 def latest(names: Iterable[str]) -> list[str]:

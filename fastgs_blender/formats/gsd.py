@@ -85,12 +85,13 @@ def _model(path: Path, frame: _Frame, types: list[np.dtype], degree: int) -> Gau
         data = unlz4(exactly(stream, frame.length), sum(4 * kind.itemsize * frame.pixels for kind in types))
     at, textures = 0, []
     for kind in types:
-        size = 4 * kind.itemsize * frame.pixels
-        pixels = data[at:at + size].reshape(4 * kind.itemsize, frame.pixels)[:, :frame.count].T
+        length = 4 * kind.itemsize * frame.pixels
+        pixels = data[at:at + length].reshape(4 * kind.itemsize, frame.pixels)[:, :frame.count].T
         textures.append(np.ascontiguousarray(pixels).view(kind).astype(np.float32))
-        at += size
+        at += length
     place, turn, size, *colour = textures
     return GaussianModel(
-        position=place[:, [1, 2, 0]] * np.float32([1, -1, 1]), rotation=turn[:, [3, 1, 2, 0]] * np.float32([1, 1, -1, 1]),
+        position=place[:, [1, 2, 0]] * np.array([1, -1, 1], np.float32),
+        rotation=turn[:, [3, 1, 2, 0]] * np.array([1, 1, -1, 1], np.float32),
         scale=np.log(size[:, [1, 2, 0]]), opacity=logit(size[:, 3]),
         features=np.concatenate(colour, 1)[:, :3 * (degree + 1) ** 2], appearance=SH(degree))

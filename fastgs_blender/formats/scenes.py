@@ -31,7 +31,7 @@ def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[Gauss
     Raises FastGSError where nothing is shown.
     """
     limited = antialiased and all(instance.captured.known or instance.model.raster.antialiased for instance in instances)
-    parts, lost = [], {}
+    parts, lost = [], dict[str, None]()
     for instance in instances:
         model, clauses = _seen(instance)
         if limited:

@@ -108,7 +108,7 @@ def _model(records, time_model: int, cutoff: float, higher, frames: int) -> Gaus
     rotation[~rotation.any(1)] = (1, 0, 0, 0)
     if higher:
         features = np.concatenate([(rgba[:, None, :3] - 0.5) / SH_C0, *higher], 1).reshape(len(records), -1)
-        look = SH(len(higher))
+        look: RGB | SH = SH(len(higher))
     else:
         features, look = rgba[:, :3], RGB()
     return GaussianModel(**lives, rotation=rotation, scale=scale, opacity=logit(rgba[:, 3]), features=features, appearance=look,

@@ -14,6 +14,7 @@ import struct
 import threading
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -80,8 +81,8 @@ class _Film:
             stream.seek(begin)
             self._changing, self._base = _static(exactly(stream, size), self.count)
         self.clip = Clip(self.frames, frame_rate(about.get("fps"), 30.0))
-        self._group, self._streams = -1, {}
-        self._at, self._now = -1, {}
+        self._group, self._streams = -1, dict[str, Any]()
+        self._at, self._now = -1, dict[str, Any]()
 
     def frame(self, i: int) -> GaussianModel:
         """The model of frame i."""

@@ -73,7 +73,7 @@ def static(model: GaussianModel, name: str) -> tuple[GaussianModel, list[str]]:
 
 def plain_harmonics(model: GaussianModel, degree: int) -> tuple[GaussianModel, list[str]]:
     """The model with spherical harmonics of at most this degree, and clauses."""
-    lost = []
+    lost: list[str] = []
     if not isinstance(model.appearance, (RGB, SH)):
         model, lost = plain_colour(model, keep_features=False)
     if isinstance(model.appearance, RGB):

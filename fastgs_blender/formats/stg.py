@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ..model.appearance import RGB, Features
+from ..model.appearance import RGB, Appearance, Features
 from ..model.gaussians import Clip, GaussianModel
 from ..model.motion import Basis, Cosine, Fourier, Polynomial
 from ..model.temporal import Radial
@@ -58,7 +58,7 @@ class SpacetimeGaussians(Format):
         full = not header.names.isdisjoint(FULL[3:])
         if full and not header.names.issuperset(FULL):
             raise FastGSError("it has some but not all of the columns f_dc_0..5 and f_t_0..2; export it again.")
-        appearance = RGB()
+        appearance: Appearance = RGB()
         if full:
             ours = isinstance(recorded, Features)
             look = (recorded.activation, recorded.decode) if ours else (_activation(path, settings), "premultiplied")

@@ -15,6 +15,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -196,7 +197,7 @@ class _Machine:
     LITERALS = ("BINUNICODE", "SHORT_BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
 
     def __init__(self, file: TorchFile):
-        self.file, self.stack, self.memo = file, [], {}
+        self.file, self.stack, self.memo = file, list[Any](), dict[int, Any]()
 
     def run(self, program: bytes):
         """What the pickle describes; raises FastGSError for any other instruction.  Instructions are taken apart, never executed."""

@@ -41,6 +41,7 @@ class Appearance:
     name: ClassVar[str] = ""
     code: ClassVar[int]
     width: ClassVar[int]
+    degree: int  # of those with harmonics
     recorded: ClassVar[tuple[str, ...]] = ()
     optional: ClassVar[tuple[str, ...]] = ()
 

@@ -58,7 +58,7 @@ def write_exr(path: str | os.PathLike, image: Mapping[str, np.ndarray], colour_s
 
 
 def _channels(image: Mapping[str, np.ndarray], colour_space: str, passes: Iterable[str]) -> dict[str, np.ndarray]:
-    planes = {}
+    planes: dict[str, np.ndarray] = {}
     for entry in (PASSES[name] for name in passes):
         values = entry.shown(image[entry.name])
         if entry.colour:

@@ -78,7 +78,7 @@ def replacing(paths: list[Path]) -> Iterator[list[Path]]:
 
 
 @contextmanager
-def writing(paths: Iterable[str | Path], advice: str = "what was there before is kept") -> Iterator[list[Path]]:
+def writing(paths: Iterable[str | os.PathLike], advice: str = "what was there before is kept") -> Iterator[list[Path]]:
     """replacing(); where the system or the block cannot write, FastGSError with the reason and `advice`, what to do about it."""
     targets = [Path(path) for path in paths]
     try:

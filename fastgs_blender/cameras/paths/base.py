@@ -112,8 +112,8 @@ def named(entries: list[dict], path: CameraPath) -> list[dict]:
 
 def names_of(entries: Sequence, key: str = "name") -> tuple[str, ...]:
     """What named() added; nothing where not all entries have a name."""
-    names = tuple(entry.get(key) for entry in entries if isinstance(entry, dict))
-    return names if names and len(names) == len(entries) and all(isinstance(name, str) for name in names) else ()
+    names = tuple(entry[key] for entry in entries if isinstance(entry, dict) and isinstance(entry.get(key), str))
+    return names if len(names) == len(entries) else ()
 
 
 def frame_names(path: CameraPath) -> list[str]:

@@ -128,7 +128,7 @@ def occupancy(frames: np.ndarray) -> np.ndarray:
     """How far each pixel is from its median over time, above the noise, uint8: 255 is full; frames [pixels, F] in 0..1."""
     noise = 1.5 * float(np.median(np.abs(np.diff(frames, axis=1)))) + 2 / 255
     away = np.abs(frames - np.median(frames, axis=1, keepdims=True))
-    return np.uint8(255 * np.clip((away / noise - NOISE) / (SOLID - NOISE), 0, 1) + 0.5)  # of all views at once: bytes, not floats
+    return (255 * np.clip((away / noise - NOISE) / (SOLID - NOISE), 0, 1) + 0.5).astype(np.uint8)  # of all views at once: bytes, not floats
 
 
 def _neighbours(centres: np.ndarray) -> list[tuple[int, int]]:

@@ -51,7 +51,8 @@ def load(path: Path, options: Options) -> Capture:
     if twice is not None:
         raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
     gains = dict([GAINS[folder.resolve().name]]) if folder.resolve().name in GAINS else {}
-    faults, cameras, rates = [], [], []
+    faults: list[str] = []
+    cameras, rates = [], []
     for called, entry in zip(names, entries):
         where = f"{file}: {called}"
         lens, given, pose = _lens(entry, where), _intrinsics(entry, where), _pose(entry, where)

@@ -40,7 +40,7 @@ def load(path: Path, options: Options) -> Capture:
     folder = path if path.is_dir() else path.parent
     faults: list[str] = []
     train, count = _entries(folder, TRAIN)
-    test = []
+    test: list[str] = []
     if (folder / TEST).is_file():
         test, test_count = _entries(folder, TEST)
         if test_count != count:

@@ -46,7 +46,8 @@ def load(path: Path, options: Options) -> Capture:
     cameras = _cameras(file)
     folders = [file.parent, path, *sorted(p for p in path.iterdir() if p.is_dir())] if path.is_dir() else [file.parent]
     places = _places(folders, {camera.get("serial", "") for camera in cameras})
-    faults, rig, rates, lost = [], [], [], []
+    faults: list[str] = []
+    rig, rates, lost = [], [], []
     for camera in cameras:
         serial = camera.get("serial", "")
         where = f"{file}: camera {serial}"
@@ -133,8 +134,8 @@ def _pose(camera, where) -> np.ndarray:
 def _lens(camera, where) -> Lens:
     part = _part(camera, "intrinsic", where)
     radial = [_value(part, f"radialDistortion{i}", where, "0") for i in (1, 2, 3)]
-    tangential = [_value(part, f"tangentalDistortion{i}", where, "0") for i in (1, 2)]
-    return Lens("opencv", tuple(radial), tuple(tangential), _value(part, "skew", where, "0") / _focal(part, "focalLengthU", where))
+    p1, p2 = (_value(part, f"tangentalDistortion{i}", where, "0") for i in (1, 2))
+    return Lens("opencv", tuple(radial), (p1, p2), _value(part, "skew", where, "0") / _focal(part, "focalLengthU", where))
 
 
 def _focal(part, key, where) -> float:

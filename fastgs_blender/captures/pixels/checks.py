@@ -44,7 +44,8 @@ def problems(capture: Capture) -> list[str]:
 
 
 def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str]:
-    wrong, masks = {}, {}
+    wrong: dict = {}
+    masks: dict = {}
     start = capture.clip.start_frame
     for shot in shots:
         own = facts(shot.image)

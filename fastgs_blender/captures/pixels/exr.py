@@ -41,7 +41,7 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
         channels = file.channels()
         planes = {name: _placed(channels[channel].pixels, left, top, width, height, path) for name, channel in chosen.items()}
     rgb = np.stack([planes[name] for name in "RGB"], -1)
-    np.nan_to_num(rgb, copy=False, nan=0.0, posinf=np.finfo(np.float32).max, neginf=0.0)
+    np.nan_to_num(rgb, copy=False, nan=0.0, posinf=float(np.finfo(np.float32).max), neginf=0.0)
     return rgb, np.nan_to_num(np.clip(planes["A"], 0, 1)) if "A" in planes else None
 
 

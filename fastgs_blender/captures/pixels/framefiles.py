@@ -39,7 +39,7 @@ def digest(shot: Shot, scale: float) -> str:
         if source is None:
             parts.append(None)
             continue
-        parts += [repr(replace(source, path=source.path.absolute())), *status_of(source.path)]
+        parts += [repr(replace(source, path=source.path.absolute())), *status_of(str(source.path))]
     camera = shot.camera
     parts.append(scale if camera is None else (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
     return hashlib.sha256(repr(parts).encode("utf-8", "surrogateescape")).hexdigest()[:32]

@@ -61,8 +61,9 @@ def linear(screen: np.ndarray, camera: Camera) -> np.ndarray:
     """
     x, y = screen[..., 0] - camera.window[0], screen[..., 1] - camera.window[1]
     (ux, vx), (uy, vy) = ((np.roll(each, -1, 1), np.roll(each, -2, 1)) for each in (x, y))
-    a, b, c = uy - vy, vx - ux, ux * vy - vx * uy
-    area = c.sum(1)
+    a, b = uy - vy, vx - ux
+    c: np.ndarray = ux * vy - vx * uy
+    area: np.ndarray = c.sum(1)
     with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
         edges = np.stack([a, b, c], -1) * (np.sign(area)[:, None] / (np.abs(a) + np.abs(b)))[..., None]
         corners = 1 / screen[..., 2] if camera.orthographic else screen[..., 2]

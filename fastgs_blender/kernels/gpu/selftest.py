@@ -90,7 +90,7 @@ def _wrong_picture(found: np.ndarray, wanted: np.ndarray) -> str:
 
 def _wrong_array(found: np.ndarray, wanted: np.ndarray) -> str:
     """By how much an array is wrong; "" where it is not."""
-    error = np.linalg.norm(found.astype(np.float64) - wanted) / max(np.linalg.norm(wanted), 1e-12)
+    error = np.linalg.norm(found.astype(np.float64) - wanted) / max(float(np.linalg.norm(wanted)), 1e-12)
     return "" if error < STRAY else f"{100 * error:.2g} %"
 
 

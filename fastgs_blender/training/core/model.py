@@ -44,7 +44,8 @@ def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:
         w1 = np.random.default_rng([settings.seed, 1]).uniform(-1, 1, (6, 12)) / np.sqrt(12)
         if not settings.decoder_place:
             w1[:, PLACE] = 0
-        look = Features(w1, np.zeros((3, 6)), settings.activation, settings.decode)  # at first every Gaussian shows its base colour
+        # at first every Gaussian shows its base colour
+        look: Features | RGB | SH = Features(w1, np.zeros((3, 6)), settings.activation, settings.decode)
     else:
         look = RGB() if settings.appearance == "rgb" else SH(int(settings.appearance[2:]))
     return GaussianModel(

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ...cameras.camera import Camera
 from ...util import groups
 from ...util.errors import FastGSError
 
@@ -35,7 +36,7 @@ class Features:
 
     places: np.ndarray
     descriptors: np.ndarray
-    camera: object
+    camera: Camera
 
 
 def pycolmap_module():

@@ -50,7 +50,7 @@ class Reporter:
         self.timed: tuple[int, float] | None = None
         self.smooth: dict[str, float] = {}
         self.last: dict = {"iteration": begin} if begin else {}
-        self.unwritable, self.state, self.status_time = set(), "", 0.0
+        self.unwritable, self.state, self.status_time = set[str](), "", 0.0
         self.quiet = quiet
         self.bar = progress(iterations, "step", "training", quiet=quiet, done=begin, rate=lambda: self.speed, clock=clock)
         self._drop_log_after(begin)

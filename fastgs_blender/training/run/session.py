@@ -143,7 +143,7 @@ class _Session:
         if found is None:
             with self.reporter.stage("finding starting points") as report:
                 began = start(capture, store, settings, self.reporter.say, report)
-            began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in self.cameras.items()})
+            began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
         trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes)
         if found is not None:
             trainer.restore(*found)
