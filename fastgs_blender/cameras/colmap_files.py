@@ -111,7 +111,7 @@ def _camera(where: str, model: Any, width: int, height: int, parameters: Sequenc
 class _Reader:
     """A binary file read in order, never beyond its end."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path, self.data, self.at = path, read_bytes(path, LARGEST_FILE), 0
 
     def take(self, layout: str) -> tuple:
@@ -140,7 +140,7 @@ class _Reader:
         self.at = end + 1
         return name
 
-    def _need(self, size):
+    def _need(self, size: int) -> None:
         if size > len(self.data) - self.at:
             raise self.damaged()
 
@@ -148,7 +148,7 @@ class _Reader:
         return FastGSError(f"{self.path}: COLMAP's file is cut short or damaged; copy it or export the model again.")
 
 
-def _cameras_bin(path) -> Iterator[tuple]:
+def _cameras_bin(path: Path) -> Iterator[tuple]:
     reader = _Reader(path)
     for _ in range(reader.count(24)):
         number, model, width, height = reader.take("<IiQQ")
@@ -158,7 +158,7 @@ def _cameras_bin(path) -> Iterator[tuple]:
         yield number, model, width, height, reader.take(f"<{len(MODELS[NUMBERS[model]][2].split())}d")
 
 
-def _images_bin(path) -> Iterator[tuple]:
+def _images_bin(path: Path) -> Iterator[tuple]:
     reader = _Reader(path)
     for _ in range(reader.count(73)):
         values = reader.take("<I7dI")
@@ -167,7 +167,7 @@ def _images_bin(path) -> Iterator[tuple]:
         yield name, values[1:5], values[5:8], values[8]
 
 
-def _points_bin(path) -> Iterator[tuple]:
+def _points_bin(path: Path) -> Iterator[tuple]:
     reader = _Reader(path)
     for _ in range(reader.count(51)):
         values = reader.take("<Q3d3Bd")
@@ -175,26 +175,26 @@ def _points_bin(path) -> Iterator[tuple]:
         yield values[1:7]
 
 
-def _lines(path) -> Iterator[str]:
+def _lines(path: Path) -> Iterator[str]:
     with open_file(path) as file, io.TextIOWrapper(file, "utf-8-sig", "surrogateescape") as stream:
         for line in stream:
             yield line.strip()
 
 
-def _records(path) -> Iterator[list[str]]:
+def _records(path: Path) -> Iterator[list[str]]:
     for line in _lines(path):
         if line and not line.startswith("#"):
             yield line.split()
 
 
-def _cameras_txt(path) -> Iterator[tuple]:
+def _cameras_txt(path: Path) -> Iterator[tuple]:
     for words in _records(path):
         with _understood(path, words):
             record = int(words[0]), words[1], int(words[2]), int(words[3]), [float(word) for word in words[4:]]
         yield record
 
 
-def _images_txt(path) -> Iterator[tuple]:
+def _images_txt(path: Path) -> Iterator[tuple]:
     lines = _lines(path)
     for line in lines:
         if not line or line.startswith("#"):
@@ -207,7 +207,7 @@ def _images_txt(path) -> Iterator[tuple]:
         next(lines, None)  # its points
 
 
-def _points_txt(path) -> Iterator[tuple]:
+def _points_txt(path: Path) -> Iterator[tuple]:
     for words in _records(path):
         with _understood(path, words):
             record = tuple(float(words[i]) for i in range(1, 7))

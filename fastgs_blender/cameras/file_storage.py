@@ -90,7 +90,7 @@ def _scalar(text: str) -> Any:
 class _Yaml:
     """A parser of one document, line by line; raises ValueError with the number of the line."""
 
-    def __init__(self, text: str):
+    def __init__(self, text: str) -> None:
         self.lines: list[tuple[int, int, str]] = []  # number, indentation, content; flow values joined with the lines after them
         open_since = 0
         for number, line in enumerate(text.splitlines(), 1):

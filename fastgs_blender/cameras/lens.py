@@ -48,7 +48,7 @@ class Lens:
     p: tuple[float, float] = (0.0, 0.0)
     skew: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.model not in COEFFICIENTS:
             raise FastGSError(f"the lens model {self.model!r} is not known; there are {', '.join(COEFFICIENTS)}.")
         k, p = tuple(float(v) for v in self.k), tuple(float(v) for v in self.p)

@@ -44,7 +44,7 @@ class Panorama:
     far: float = np.inf
     window: tuple[int, int, int, int] | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.projection not in ("equirectangular", "equidistant", "equisolid"):
             raise FastGSError(f"a panorama is equirectangular, equidistant or equisolid, not {self.projection!r}.")
         if self.projection == "equisolid" and not self.focal > 0:

@@ -87,7 +87,7 @@ def number(value, where: str, low: float = -np.inf, high: float = np.inf) -> flo
     return found
 
 
-def read(text, where: str, low: float = -np.inf, high: float = np.inf) -> float:
+def read(text: str, where: str, low: float = -np.inf, high: float = np.inf) -> float:
     """A finite number from low to high that a text names."""
     try:
         return number(float(text), where, low, high)

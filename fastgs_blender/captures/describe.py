@@ -36,7 +36,7 @@ def describe(capture: Capture) -> dict:
     }
 
 
-def _facts(shot) -> Facts | None:
+def _facts(shot: Shot) -> Facts | None:
     with contextlib.suppress(FastGSError):  # problems() tells
         return facts(shot.image)
     return None

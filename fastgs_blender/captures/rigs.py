@@ -82,7 +82,7 @@ def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, 
     return from_entries(path, layout, entries, options, frame_count=count, gaps=gaps, notes=notes, faults=[*faults, *apart], **settings)
 
 
-def chosen_frames(cameras: Sequence[RigCamera], options: Options, path) -> Sequence[int]:
+def chosen_frames(cameras: Sequence[RigCamera], options: Options, path: Path) -> Sequence[int]:
     """The frames of a rig that are used, counted from 0: those that the options choose and all films have."""
     return _shared(cameras, options, _chosen(_longest(cameras), options.frames, path))[0]
 
@@ -128,7 +128,7 @@ def lone_sentence(found: Sequence[str], lost: Sequence[str]) -> list[str]:
 
 
 def from_entries(
-        path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
+        path: Path, layout: str, entries: Sequence[Entry], options: Options, *, frame_count: int, fps: float = 30.0, start_frame: int = 0,
         held_out: Sequence[str] = (), scale: float = 1.0, focal: float | None = None, axes: str = "RDF", points: Points | None = None,
         mask_means: str = "foreground", gaps: Sequence[tuple[str, int]] = (), notes: Sequence[str] = (), faults: Sequence[str] = (),
         model: Path | None = None) -> Capture:
@@ -235,7 +235,7 @@ def _by_the_clocks(entries: Sequence[Entry], offsets: Mapping[str, float]) -> tu
     return moved, [f"clocks differ, in frames: {listed}"]
 
 
-def check_count(path, frames: int, cameras: int = 1) -> None:
+def check_count(path: Path, frames: int, cameras: int = 1) -> None:
     """Raises FastGSError for a capture without frames, or with more pictures than can be listed."""
     if frames < 1:
         raise FastGSError(f"{path}: there are no frames in this capture.")
@@ -274,7 +274,7 @@ def ranges(numbers: Sequence[int], most: int = 6) -> str:
     return ", ".join(text + (["..."] if len(parts) > most else []))
 
 
-def _chosen(count: int, frames: slice | None, path) -> range:
+def _chosen(count: int, frames: slice | None, path: Path) -> range:
     chosen = range(count)[frames] if frames is not None else range(count)
     if frames is not None and chosen.step < 1:
         raise FastGSError(f"{path}: the frames of a capture are taken forwards, not in steps of {chosen.step}.")

@@ -38,7 +38,7 @@ class KeptFrames:
     common  what else all frames of the work have in common, JSON values
     """
 
-    def __init__(self, folder: Path, source: GaussianModel | Sequence, common: dict):
+    def __init__(self, folder: Path, source: GaussianModel | Sequence, common: dict) -> None:
         self.folder, self.source = folder / FOLDER, source
         self.common = json.dumps({"version": VERSION, **common}, sort_keys=True)
         self._known: tuple[GaussianModel, str] | None = None

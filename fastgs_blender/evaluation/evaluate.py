@@ -291,7 +291,7 @@ def _means(rows: list[dict[str, Any]]) -> dict:
 class _Gallery:
     """Side-by-side pictures of some frames of one view, and a film of all."""
 
-    def __init__(self, stack: ExitStack, out: Path, view: str, shots: list, images: int, fps: float, files: list):
+    def __init__(self, stack: ExitStack, out: Path, view: str, shots: list, images: int, fps: float, files: list) -> None:
         self._stack, self._folder, self._fps, self._files = stack, out, fps, files
         self._name = "".join(letter if letter.isalnum() or letter in "-_." else "_" for letter in view).lstrip(".") or "view"
         picked = np.unique(np.linspace(0, len(shots) - 1, min(images, len(shots))).round().astype(int)) if images > 0 else []

@@ -33,7 +33,7 @@ def film(path: Path, width: int, height: int, fps: float) -> Iterator:
             for name in ("colorspace", "color_primaries", "color_trc"):
                 setattr(stream.codec_context, name, BT709)
 
-            def add(picture: np.ndarray):
+            def add(picture: np.ndarray) -> None:
                 frame = av.VideoFrame.from_ndarray(np.ascontiguousarray(picture), format="rgb24")
                 container.mux(stream.encode(frame.reformat(format="yuv420p", dst_colorspace="ITU709")))
 

@@ -16,7 +16,7 @@ class Flip:
     It assumes the package's usual viewing distance of 67 pixels per degree.  Raises Unavailable where the package is not installed.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         try:
             self._package = importlib.import_module("flip_evaluator")
         except ImportError as error:

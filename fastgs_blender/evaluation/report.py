@@ -50,7 +50,7 @@ def write(result: dict, folder: Path) -> list[Path]:
     return targets
 
 
-def _csv(result) -> str:
+def _csv(result: dict) -> str:
     """Columns: view, frame ("mean" in the averages, whose view is "all" for the last), t, trained_on, MEASURES, milliseconds."""
     text = io.StringIO()
     columns = ["view", "frame", "t", "trained_on", *MEASURES, "milliseconds"]

@@ -233,7 +233,7 @@ def unpacked(data: bytes, block: Block, count: int, order: Order) -> np.ndarray:
 class _Taker:
     """Takes bytes from the front of an array."""
 
-    def __init__(self, raw: np.ndarray, name: str):
+    def __init__(self, raw: np.ndarray, name: str) -> None:
         self.raw, self.name, self.at = raw, name, 0
 
     @property

@@ -51,7 +51,7 @@ class DeformedFormat(SequenceFormat):
         raise NotImplementedError
 
     @staticmethod
-    def network(weights: Weights, settings: dict):
+    def network(weights: Weights, settings: dict) -> None:
         raise NotImplementedError
 
     def sniff(self, head: bytes, path: Path) -> bool:

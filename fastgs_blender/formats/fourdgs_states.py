@@ -64,7 +64,7 @@ def band_of(degree: int, number: int, content: wire.Cursor, count: int) -> np.nd
 class Births:
     """The temporal model gaussian-birth: chunks of Gaussians that have windows of their own."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
     def whole(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
@@ -99,7 +99,7 @@ class State:
 class States:
     """The temporal model keyframe-delta: reads states in the order of the file, and hands the Gaussians that they make to the scene."""
 
-    def __init__(self, scene: Scene):
+    def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.width = _band(scene.degree + 1).start
         self.first = self.last = None

@@ -26,7 +26,7 @@ RAW, DELTA, CONSTANT = range(3)
 class Cursor:
     """A place in bytes; every read is checked against their end."""
 
-    def __init__(self, data: memoryview):
+    def __init__(self, data: memoryview) -> None:
         self.data, self.at = data, 0
 
     def __bool__(self) -> bool:

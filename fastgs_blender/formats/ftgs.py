@@ -91,7 +91,7 @@ def straight_model(model: GaussianModel, degree: int) -> tuple[GaussianModel, li
     return replace(turned(model, turn), axes="RDF", **basis), lost
 
 
-def static_columns(header: ply.Header, path) -> tuple[int, dict[str, Sequence[str]]]:
+def static_columns(header: ply.Header, path: Path) -> tuple[int, dict[str, Sequence[str]]]:
     """The degree of spherical harmonics and the columns that every static Gaussian has, for read_vertices()."""
     degree, colours = harmonics(header, path)
     return degree, {"position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": "opacity", "features": colours}

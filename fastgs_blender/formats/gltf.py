@@ -136,7 +136,7 @@ def _matrix(node: dict) -> np.ndarray:
 class _Buffers:
     """The bytes of buffers, read once."""
 
-    def __init__(self, tree: dict, binary: bytes, folder: Path):
+    def __init__(self, tree: dict, binary: bytes, folder: Path) -> None:
         self.tree, self.binary, self.folder, self.known, self.spent = tree, binary, folder, {}, 0
 
     def spend(self, size: int) -> None:

@@ -44,7 +44,7 @@ def colour_columns(degree: int, each: int | None = None) -> list[str]:
     return [*CONSTANT, *(f"f_rest_{c * (each or rest) + b}" for b in range(rest) for c in range(3))]
 
 
-def harmonics(header: ply.Header, path) -> tuple[int, list[str]]:
+def harmonics(header: ply.Header, path: Path) -> tuple[int, list[str]]:
     """The degree of spherical harmonics that the columns f_rest_* fill, and colour_columns(); a LossWarning tells of others."""
     rest = sum(name.startswith("f_rest_") for name in header.names)
     each = rest // 3 if rest % 3 == 0 and header.names.issuperset(f"f_rest_{i}" for i in range(rest)) else 0

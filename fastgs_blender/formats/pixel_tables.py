@@ -35,7 +35,7 @@ PNG = b"\x89PNG\r\n\x1a\n"
 class Folder:
     """The files beside a meta.json."""
 
-    def __init__(self, folder: Path, meta: str = META):
+    def __init__(self, folder: Path, meta: str = META) -> None:
         self.folder, self.name = folder, meta
 
     def within(self, folder: str) -> Folder:
@@ -65,7 +65,7 @@ class Folder:
 class Archive(Folder):
     """The files of a zip, wherever in it its meta.json, or a file of another name, lies; of two with one name, the last."""
 
-    def __init__(self, archive: zipfile.ZipFile, length: int, meta: str):
+    def __init__(self, archive: zipfile.ZipFile, length: int, meta: str) -> None:
         self.zip, self.length, self.name = archive, length, meta
         self.members = {info.filename: info for info in archive.infolist() if not info.is_dir()}
         self.base = next((name[:-len(meta)] for name in sorted(self.members, key=len) if name == meta or name.endswith(f"/{meta}")), "")
@@ -106,7 +106,7 @@ def meta_of(head: bytes, path: Path, name: str = META, limit: int = MAX_META) ->
     return read_table(read_whole(path)) if is_json_table(head) and path.stat().st_size <= limit else {}
 
 
-def plain(name) -> str:
+def plain(name: object) -> str:
     """The name of a file in the same folder, and nothing else; it may begin with "./"."""
     name = name.removeprefix("./") if isinstance(name, str) else name
     if not isinstance(name, str) or name in (".", "..") or local(Path(), name) is None or any(c in name for c in "/\\:"):
@@ -114,7 +114,7 @@ def plain(name) -> str:
     return name
 
 
-def below(name) -> tuple[str, ...]:
+def below(name: object) -> tuple[str, ...]:
     """The parts of the name of a file in the same folder or below it."""
     return tuple(plain(part) for part in name.removeprefix("./").split("/")) if isinstance(name, str) else (plain(name),)
 

@@ -61,7 +61,7 @@ class Splats4D(SequenceFormat):
 class _Film:
     """The frames of a file: the static part is read once; the group that was read last stays, and so does the frame in it."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path, self._lock = path, threading.Lock()
         with open_file(path) as stream:
             length = stream.seek(0, 2)

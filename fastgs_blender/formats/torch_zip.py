@@ -78,7 +78,7 @@ class Tensor:
 class TorchFile:
     """One file: `content` is what was saved, dicts and lists with Tensors as leaves.  Raises FastGSError."""
 
-    def __init__(self, path: Path):
+    def __init__(self, path: Path) -> None:
         self.path = path
         with _opened(path) as archive:
             self.length = archive.fp.seek(0, 2)
@@ -196,7 +196,7 @@ class _Machine:
     VALUES = {"NONE": None, "NEWTRUE": True, "NEWFALSE": False}
     LITERALS = ("BINUNICODE", "SHORT_BINUNICODE", "BININT", "BININT1", "BININT2", "LONG1", "BINFLOAT")
 
-    def __init__(self, file: TorchFile):
+    def __init__(self, file: TorchFile) -> None:
         self.file, self.stack, self.memo = file, list[Any](), dict[int, Any]()
 
     def run(self, program: bytes):
@@ -294,7 +294,7 @@ class _Machine:
 def write(path: Path, tensors: Mapping[str, np.ndarray]) -> None:
     """Write a state dict of float32 tensors that torch.load(path, weights_only=True) reads."""
     with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        def add(name, data):
+        def add(name: str, data: bytes) -> None:
             info = zipfile.ZipInfo(f"archive/{name}")  # dated 1980: the same tensors give the same bytes
             info.create_system = 0
             archive.writestr(info, data)

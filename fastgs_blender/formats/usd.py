@@ -39,7 +39,7 @@ class Usd(StaticFormat):
     says_axes = empty = True
     reads = (".usdc", ".usda", ".usd", ".usdz")
 
-    def __init__(self, extension: str = ".usdc"):
+    def __init__(self, extension: str = ".usdc") -> None:
         self.extensions = (extension,)
 
     def sniff(self, head: bytes, path: Path) -> bool:

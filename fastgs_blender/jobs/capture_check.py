@@ -22,7 +22,7 @@ class CaptureCheck(Command):
     capture  the folder or file; out: folder for the page, "": beside it; options: further arguments of `fastgs check`
     """
 
-    def __init__(self, python: str, capture: str, out: str = "", options: Sequence[str] = ()):
+    def __init__(self, python: str, capture: str, out: str = "", options: Sequence[str] = ()) -> None:
         self._folder = tempfile.TemporaryDirectory(prefix="fastgs-check-")
         self._status = Path(self._folder.name) / "status.json"
         super().__init__(python, ["check", capture, "--quiet", "--status", str(self._status), *(["--out", out] if out else []), *options],

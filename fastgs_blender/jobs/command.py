@@ -43,7 +43,7 @@ class Command(Watched):
     Raises FastGSError where the Python does not start.
     """
 
-    def __init__(self, python: str, arguments: Sequence[str], what: str, about: str, good: Container[int] = (0,)):
+    def __init__(self, python: str, arguments: Sequence[str], what: str, about: str, good: Container[int] = (0,)) -> None:
         self.values: dict | None = None
         self.line = self.trouble = ""
         self._what, self._about, self._good, self._stopped = what, about, good, False

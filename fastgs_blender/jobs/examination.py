@@ -19,7 +19,7 @@ class Examination(Watched):
     trouble  why it could not, in a sentence, or ""
     """
 
-    def __init__(self, part: str = "", again: bool = False, python: str = sys.executable):
+    def __init__(self, part: str = "", again: bool = False, python: str = sys.executable) -> None:
         self.trouble = ""
         self.found: dict | None = None
         self._python, self._again, self._arguments = python, again, ["info", "--devices", *(["--device", part] if part else [])]

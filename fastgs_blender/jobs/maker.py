@@ -30,7 +30,7 @@ class Maker:
     torch   whether PyTorch is installed, too: its build for processors, where an index offers that
     """
 
-    def __init__(self, folder: str | Path, log: str | Path, index: str = "", torch: bool = False):
+    def __init__(self, folder: str | Path, log: str | Path, index: str = "", torch: bool = False) -> None:
         self.folder, self.log = Path(folder), Path(log)
         source = ["--index-url", index] if index else []
         python = self.folder / ("Scripts/python.exe" if sys.platform == "win32" else "bin/python")

@@ -54,7 +54,7 @@ class Jobs:
     _passed_over: set[str] = set()
     _turn = threading.RLock()
 
-    def __init__(self, folder: str | Path, clock: Callable[[], float] = time.time):
+    def __init__(self, folder: str | Path, clock: Callable[[], float] = time.time) -> None:
         self.folder, self.clock = Path(folder), clock
 
     def all(self) -> list[Job]:

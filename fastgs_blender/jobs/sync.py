@@ -6,7 +6,7 @@ from .command import Command
 class Sync(Command):
     """The comparison of the clocks of a capture's cameras."""
 
-    def __init__(self, python: str, capture: str):
+    def __init__(self, python: str, capture: str) -> None:
         super().__init__(python, ["sync", capture], "comparing the clocks", capture)
 
 

@@ -49,7 +49,7 @@ class FreeClip(Clip):
 class Cache:
     """Models of moments, at most `limit` bytes, those used last.  Threads that want one moment wait for one reading of it."""
 
-    def __init__(self, limit: int = MEMORY):
+    def __init__(self, limit: int = MEMORY) -> None:
         self.limit = limit
         self._models: OrderedDict[tuple, tuple[object, GaussianModel]] = OrderedDict()
         self._making: dict[tuple, threading.Lock] = {}
@@ -115,7 +115,7 @@ class Sequence:
     """
 
     def __init__(self, clip: Clip, at: np.ndarray, read: Callable[[int], GaussianModel], state: Callable[[int], object] = lambda i: None,
-                 about: str = "the sequence", alike: bool = False):
+                 about: str = "the sequence", alike: bool = False) -> None:
         self.clip, self.at, self._read, self._state, self.about = clip, np.asarray(at, np.float64), read, state, about
         self._alike = alike
         self._owner = next(_owners)
@@ -194,7 +194,7 @@ class Computed(Sequence):
     """
 
     def __init__(self, clip: Clip, compute: Callable[[float], GaussianModel], state: Callable[[], object] = lambda: None,
-                 about: str = "the model"):
+                 about: str = "the model") -> None:
         self._compute = compute
         super().__init__(clip, np.arange(clip.frame_count), lambda i: compute(clip.t_of_frame(i)), lambda i: state(), about)
 

@@ -46,7 +46,7 @@ def lifted(rgb: np.ndarray, highlights: float) -> np.ndarray:
     return rgb * (1 + (highlights - 1) * s * s * (3 - 2 * s))
 
 
-def over(rgb: np.ndarray, alpha: np.ndarray, background) -> np.ndarray:
+def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray | None) -> np.ndarray:
     """Premultiplied rgb over an opaque background [3] of the same colour space."""
     return rgb + (1 - alpha[..., None]) * np.asarray(background, rgb.dtype)
 

@@ -33,7 +33,7 @@ class Crop:
     shape: str | Volume = "BOX"
     soft: float = 0.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 0 <= self.soft < np.inf:
             raise FastGSError(f"the soft edge of a crop must be a number of 0 or more, not {self.soft!r}.")
 

@@ -110,7 +110,7 @@ class Exposure:
     steps: int = 32
     aperture: Aperture | None = None
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if self.steps < 1 or (self.aperture and self.aperture.samples < 1):
             raise FastGSError("an exposure needs at least one step and one sample of the lens.")
         if not (np.isfinite(self.curve).all() and min(self.curve) >= 0 and max(self.curve) > 0):
@@ -244,7 +244,7 @@ class Film:
     objects  how many objects' shares of the pixels are added up
     """
 
-    def __init__(self, height: int, width: int, spaces: set[str], objects: int = 0):
+    def __init__(self, height: int, width: int, spaces: set[str], objects: int = 0) -> None:
         self.rgb, self.shares = np.zeros((height, width, 3), np.float32), np.zeros((height, width, objects), np.float32)
         self.alpha, self.held = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
         self.encoded = spaces == {"srgb"}

@@ -37,7 +37,7 @@ class Filter:
     keep: bool = False
     colour: tuple[float, float, float] = (0.0, 0.0, 0.0)
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         object.__setattr__(self, "colour", tuple(float(value) for value in self.colour))
         if self.kind not in KINDS:
             raise FastGSError(f"the filter {self.kind!r} is unknown; there are {', '.join(KINDS)}.")

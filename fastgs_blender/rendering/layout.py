@@ -88,7 +88,7 @@ class Layout:
     """
 
     def __init__(self, instances: list[ViewedInstance], depth: bool, quantities: dict[str, Quantity] | None = None, plane: bool = False,
-                 by_pixel: bool = False, opaque: bool = False):
+                 by_pixel: bool = False, opaque: bool = False) -> None:
         kinds: dict[Hashable, list[ViewedInstance]] = {}
         for instance in instances:
             kinds.setdefault(decoding(instance), []).append(instance)

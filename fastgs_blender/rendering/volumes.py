@@ -89,7 +89,7 @@ def _nodes(first, count):
         start = stop
 
 
-def _distance2(p, corners) -> np.ndarray:
+def _distance2(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
     """Squared distances [n] of points [n, 3] to triangles [n, 3 corners, 3]."""
     a, b, c = corners[:, 0], corners[:, 1], corners[:, 2]
     out = np.full(len(p), np.inf)

@@ -44,7 +44,7 @@ class FastGSError(Exception):
             print(error)
     """
 
-    def __init__(self, message: object = ""):
+    def __init__(self, message: object = "") -> None:
         super().__init__(printable(message))
 
 
@@ -56,5 +56,5 @@ class LossWarning(UserWarning):
             warnings.simplefilter("error", fg.LossWarning)  # a lossy save now raises
     """
 
-    def __init__(self, message: object = ""):
+    def __init__(self, message: object = "") -> None:
         super().__init__(printable(message))

@@ -25,7 +25,7 @@ class Progress:
     """
 
     def __init__(self, total: int, unit: str, what: str, done: int = 0, rate: Callable[[], float] | None = None,
-                 clock: Callable[[], float] = time.monotonic):
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.n, self.total, self.unit, self.what, self.rate, self.clock, self.text = done, total, unit, what, rate, clock, ""
 
     def to(self, done: int, total: int | None = None) -> None:

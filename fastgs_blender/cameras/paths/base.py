@@ -43,7 +43,7 @@ class CameraPath:
     keys: Sequence[tuple[float, Camera]] = ()
     names: Sequence[str] = ()
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not 1 <= len(self.cameras) <= MOST_FRAMES:
             raise FastGSError(f"a camera path has from 1 to {MOST_FRAMES} frames, not {len(self.cameras)}.")
         if len(self.names) not in (0, len(self.cameras)):
@@ -61,7 +61,7 @@ class Picture:
     height: int = 1080
     fps: float = 24.0
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         if not (1 <= self.width <= LARGEST_SIDE and 1 <= self.height <= LARGEST_SIDE and np.isfinite(self.fps) and self.fps > 0):
             raise FastGSError(f"a camera path needs a picture of at least 1 x 1 pixel and a positive frame rate, not {in_words(self)}.")
 

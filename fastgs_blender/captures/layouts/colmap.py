@@ -57,7 +57,7 @@ def _folder_of(path: Path, images: Sequence[ColmapImage]) -> Path:
                 next((top for top in tops if any(_stream(top, image) for image in images)), tops[0]))
 
 
-def _workspaces(path, frames: dict[int, Path], options) -> Capture:
+def _workspaces(path: Path, frames: dict[int, Path], options: Options) -> Capture:
     """A model for each frame; a view is a picture's name without its ending."""
     start, count = min(frames), max(frames) - min(frames) + 1
     check_count(path, count)
@@ -80,7 +80,7 @@ def _workspaces(path, frames: dict[int, Path], options) -> Capture:
                         gaps=gaps)
 
 
-def _workspace(path, options) -> Capture:
+def _workspace(path: Path, options: Options) -> Capture:
     """One model: a rig whose cameras have folders or videos, or a moment seen from everywhere."""
     model = model_place(path)
     images = read_images(model)

@@ -79,7 +79,7 @@ def _pillow(path):
 class _Bounded(io.BufferedReader):
     """A file whose read() makes room for no more bytes than it still has: pillow believes the lengths that a PNG states."""
 
-    def __init__(self, raw: io.FileIO):
+    def __init__(self, raw: io.FileIO) -> None:
         super().__init__(raw)
         self.size = os.fstat(self.fileno()).st_size
 

@@ -58,7 +58,7 @@ class FrameStore:
     beyond  shots for which fill() found no room there: they are decoded whenever they are needed
     """
 
-    def __init__(self, capture: Capture, budget: int = 2**30, folder=None):
+    def __init__(self, capture: Capture, budget: int = 2**30, folder: Path | None = None) -> None:
         self.capture, self.budget = capture, int(budget)
         self.folder = Path(folder) if folder is not None else framefiles.default_folder(capture)
         self._held: OrderedDict[Path, np.ndarray] = OrderedDict()
@@ -95,7 +95,8 @@ class FrameStore:
         """The shots (default: all) whose pixels are not in the cache yet."""
         return [shot for shot in (self.capture.shots if shots is None else shots) if not self._is_there(shot)]
 
-    def fill(self, progress: Callable[[int, int], None] | None = None, shots: Iterable[Shot] | None = None, threads: int | None = None):
+    def fill(self, progress: Callable[[int, int], None] | None = None, shots: Iterable[Shot] | None = None,
+             threads: int | None = None) -> None:
         """Decode the shots (default: all) that are not in the cache yet; progress(done, of) is called from this thread.
 
         Raises FastGSError with the list of files that cannot be decoded (all others are in the cache then), or where the disk is full.
@@ -180,7 +181,7 @@ class FrameStore:
             with contextlib.suppress(FastGSError):
                 yield self._path(shot).name
 
-    def _is_there(self, shot) -> bool:
+    def _is_there(self, shot: Shot) -> bool:
         try:
             length = self._path(shot).stat().st_size
         except FileNotFoundError:

@@ -174,7 +174,7 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
         raise _undecodable(path, want)
 
 
-def _undecodable(path, number) -> FastGSError:
+def _undecodable(path: Path, number: int) -> FastGSError:
     return FastGSError(f"{path}: frame {number} of the video cannot be decoded; the file is damaged or was cut short, so copy it again "
                        f"or leave that part out with a range of frames.")
 

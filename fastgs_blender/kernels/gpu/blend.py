@@ -44,7 +44,7 @@ class How:
     places: dict[str, int] = field(init=False)
     """Of the probes, and of what a holdout stops, in Band.flat."""
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         names = [name for name in PROBES if name in self.probes]
         object.__setattr__(self, "places", {name: 1 + i for i, name in enumerate(names)} | (
             {"held": 1 + len(names), "covered": 2 + len(names)} if self.occluder else {}))

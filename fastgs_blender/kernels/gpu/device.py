@@ -51,7 +51,7 @@ class Buffer:
     size: int
     reused: bool = True
 
-    def __del__(self):
+    def __del__(self) -> None:
         self.device.take_back(self)
 
 

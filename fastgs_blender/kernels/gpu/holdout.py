@@ -19,7 +19,7 @@ from .shaders import FARTHEST, TILE
 class Occluder:
     """Triangles [F, 3, 3] in the world before a camera."""
 
-    def __init__(self, device: Device, triangles: np.ndarray, camera: Camera):
+    def __init__(self, device: Device, triangles: np.ndarray, camera: Camera) -> None:
         self.device, self.camera = device, camera
         found = cpu.Occluder.of(triangles, camera)
         starts, ids = found.lists

@@ -53,7 +53,7 @@ class Models:
     They are kept up to KEPT bytes, those that were drawn last, and until nothing else refers to them or the device's memory is full.
     """
 
-    def __init__(self, device: Device):
+    def __init__(self, device: Device) -> None:
         self.device = device
         self.kept: WeakKeyDictionary[GaussianModel, list[Pack]] = WeakKeyDictionary()
         device.when_full.append(self.kept.clear)

@@ -56,7 +56,7 @@ def packs(device: Device, arrays: dict, count: int) -> list[Pack]:
 class View:
     """An instance before a camera, for the packs of its model: parameters(), and the arrays `extra` and `hidden`."""
 
-    def __init__(self, device: Device, instance: ViewedInstance, camera: Camera, layout: Layout):
+    def __init__(self, device: Device, instance: ViewedInstance, camera: Camera, layout: Layout) -> None:
         self.instance, self.camera, self.layout = instance, camera, layout
         model = instance.model
         look = model.appearance

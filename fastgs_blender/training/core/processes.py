@@ -47,7 +47,7 @@ class Processes:
 class Several(Processes):
     """One of torchrun's processes; `device` is where their sums are made."""
 
-    def __init__(self, rank: int, count: int, device: str):
+    def __init__(self, rank: int, count: int, device: str) -> None:
         self.rank, self.count, self.device = rank, count, device
         self.in_step = False  # others wait for this one's sums
 

@@ -134,7 +134,7 @@ class Settings:
     checkpoint_seconds: float = _number(15.0, 0, 10**7)
     preview_every: int = _number(500, 0, 10**8)  # 0: none
 
-    def __post_init__(self):
+    def __post_init__(self) -> None:
         for option in fields(self):
             value = _checked(option, getattr(self, option.name))
             object.__setattr__(self, option.name, value)

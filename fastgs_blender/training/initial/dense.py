@@ -52,7 +52,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
     some = spread(moments, FEATURE_MOMENTS)
     of, done = len(some) + (4 if settings.init_motion else 3) * len(moments), count(1)
 
-    def tick():
+    def tick() -> None:
         progress(next(done), of)
 
     progress(0, of)

@@ -79,7 +79,7 @@ def fundamental(a, b) -> np.ndarray:
     return np.linalg.inv(matrix(b)).T @ cross @ between[:3, :3] @ np.linalg.inv(matrix(a))
 
 
-def matrix(camera) -> np.ndarray:
+def matrix(camera: Camera) -> np.ndarray:
     """The intrinsic matrix [3, 3]."""
     return np.array([[camera.fx, 0, camera.cx], [0, camera.fy, camera.cy], [0, 0, 1.0]])
 

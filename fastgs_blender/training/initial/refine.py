@@ -67,7 +67,7 @@ def refinement(capture: Capture, store, settings, path, begun: bool, say=print, 
     return found
 
 
-def kept(path, capture) -> dict | None:
+def kept(path: Path, capture: Capture) -> dict | None:
     """What a file says is to be changed, None if it is of another capture; raises FastGSError."""
     again = "delete it to refine the cameras again"
     with reading(path, again):
@@ -241,5 +241,5 @@ def _wide_enough(rig, tracks, points):
     return np.array([features.widest_angle(rays[a:b]) > features.LEAST_ANGLE for a, b in pairwise(ends)])
 
 
-def _name(capture) -> str:
+def _name(capture: Capture) -> str:
     return str(Path(capture.path).resolve())

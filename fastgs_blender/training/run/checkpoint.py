@@ -18,14 +18,14 @@ KEY = "fast-gs checkpoint"
 ADVICE = "it is no usable checkpoint, so delete it to train from the beginning"
 
 
-def save(folder, arrays: dict[str, np.ndarray], about: dict) -> None:
+def save(folder: Path, arrays: dict[str, np.ndarray], about: dict) -> None:
     """Replace the folder's checkpoint.  If that fails, the previous one is kept, and FastGSError gives the reason."""
     with writing([Path(folder) / CHECKPOINT]) as (part,):
         write_tensors(part, arrays, {KEY: json.dumps({"version": VERSION, **about}, allow_nan=False)})
         barrier.wait("checkpoint", about.get("iteration", 0))
 
 
-def load(folder) -> tuple[dict[str, np.ndarray], dict] | None:
+def load(folder: Path) -> tuple[dict[str, np.ndarray], dict] | None:
     """(arrays, about) of the folder's checkpoint, None if it has none; raises FastGSError if it cannot be used.
 
     The file is read as a whole, not mapped: it may be replaced while it is in use.  Names and shapes of the arrays are those that the file

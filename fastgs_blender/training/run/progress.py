@@ -70,12 +70,12 @@ class Reporter:
         iteration, begun = self.timed
         return (self.last["iteration"] - iteration) / max(self.clock() - begun, 1e-9)
 
-    def say(self, text):
+    def say(self, text: str) -> None:
         """A remark; not shown where the run is quiet."""
         if not self.quiet:
             self.warn(text)
 
-    def warn(self, text):
+    def warn(self, text: str) -> None:
         """Something that went wrong, and did not end the run; always shown."""
         self.bar.say(f"fastgs: {text}")
 
@@ -139,7 +139,7 @@ class Reporter:
         self._log({"iteration": iteration, **values})
         self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
 
-    def close(self):
+    def close(self) -> None:
         """The plot of the whole run, and an end to everything open."""
         self.bar.close()
         with contextlib.suppress(OSError):
@@ -166,13 +166,13 @@ class Reporter:
                 if name not in ("iteration", "seconds") and isinstance(value, (int, float)):
                     self.board.add_scalar(name, value, row["iteration"])
 
-    def _drop_log_after(self, iteration):
+    def _drop_log_after(self, iteration: int) -> None:
         """Remove from the log the lines of steps that will be repeated, and a line that a kill cut short."""
         path = self.folder / LOG
         if not path.exists():
             return
 
-        def write():
+        def write() -> None:
             with writing([path]) as (part,):
                 lines = read_bytes(path, LARGEST_LOG).decode("utf-8", "replace").splitlines()
                 part.write_text("".join(f"{line}\n" for line in lines if 0 < _iteration(line) <= iteration), "utf-8")

@@ -15,7 +15,7 @@ class StopFlag:
     taken is finished; a second one does not wait.  Otherwise there is nothing to save, and they end the run at once.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         self.patient = self.asked = False
 
     def __call__(self) -> bool:
