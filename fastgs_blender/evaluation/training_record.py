@@ -3,6 +3,8 @@
 import json
 from dataclasses import dataclass
 
+from ..captures.capture import Capture
+from ..model.gaussians import GaussianModel
 from ..util.reading import parse_json
 
 KEY = "trained_on"
@@ -37,7 +39,7 @@ MOST = 1e6
 """The largest number that an entry may hold."""
 
 
-def corrections(model) -> dict:
+def corrections(model: GaussianModel) -> dict:
     """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say it understandably."""
     try:
         facts = parse_json(model.provenance[CORRECTIONS])
@@ -81,12 +83,12 @@ def sentence(found: dict) -> str:
     return "; ".join(parts)
 
 
-def record(capture) -> dict[str, str]:
+def record(capture: Capture) -> dict[str, str]:
     """The provenance entry of a model that is trained on a capture."""
     return {KEY: json.dumps({"views": capture.training_views, "scale": capture.scale})}
 
 
-def recorded(model) -> TrainingRecord | None:
+def recorded(model: GaussianModel) -> TrainingRecord | None:
     """The record in a model's provenance; None where there is none that can be understood."""
     try:
         values = parse_json(model.provenance[KEY])

@@ -12,6 +12,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from ...captures.capture import Capture
+from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 from . import camera_response, camera_turns
 from .camera_response import APART, CameraResponse
@@ -34,7 +35,7 @@ class CameraEstimates:
     iterations: int
 
     @classmethod
-    def initial(cls, capture: Capture, settings, start: Start | None = None) -> CameraEstimates:
+    def initial(cls, capture: Capture, settings: Settings, start: Start | None = None) -> CameraEstimates:
         """The estimates at the first step, with the priors of a start, if given."""
         priors = (None, None, None) if start is None else (start.gains, start.fades, start.clocks)
         response = CameraResponse.initial(capture.training_views, capture.clip.frame_count, settings, *priors)

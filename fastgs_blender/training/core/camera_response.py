@@ -22,8 +22,10 @@ from typing import Any
 import numpy as np
 
 from ...captures import exposures as shared_colours
+from ...captures.capture import Shot
 from ...captures.clocks.find import LEAST as LEAST_CLOCK
 from ...captures.evidence import differs, limits
+from ...training.core.settings import Settings
 
 KEEP = 0.8
 """Decay: the factor on a camera's older sums when new ones are added."""
@@ -103,7 +105,7 @@ class CameraResponse:
     independent: np.ndarray | None = None
 
     @classmethod
-    def initial(cls, views: Sequence[str], frame_count: int, settings, gains: np.ndarray | None = None,
+    def initial(cls, views: Sequence[str], frame_count: int, settings: Settings, gains: np.ndarray | None = None,
                 fades: np.ndarray | None = None, offsets: np.ndarray | None = None) -> CameraResponse:
         """The state at the first step: no sums; equal exposures and clocks, but for these priors (None: none are known)."""
         v = len(views)
@@ -131,7 +133,7 @@ class CameraResponse:
         """Whether times are corrected: always, never, or (auto) where a clock differs by more than NOTICED_CLOCK."""
         return self.clocks == "on" or (self.clocks == "auto" and bool(np.abs(self.offsets).max() > NOTICED_CLOCK))
 
-    def moment(self, shot) -> float:
+    def moment(self, shot: Shot) -> float:
         """The model's time t at which a shot was taken, with the camera's clock offset."""
         offset = self.offsets[self.views.index(shot.view)] if self.clocks_differ and shot.view in self.views else 0.0
         return shot.t + float(offset) * self.frame
@@ -144,7 +146,7 @@ class CameraResponse:
         least = (pixels.rgb > CLIPPED) & (rgb < pixels.rgb)
         return replace(pixels, rgb=rgb, stored=None, least=least if least.any() else None)
 
-    def _steady(self, shot, rgb: np.ndarray) -> np.ndarray:
+    def _steady(self, shot: Shot, rgb: np.ndarray) -> np.ndarray:
         """A picture's colours [h, w, 3] with the exposure that the camera had in the middle of the clip."""
         fade = self.fades[self.views.index(shot.view)]
         return rgb * np.exp(fade * (1 - 2 * shot.t)).astype(rgb.dtype) if fade.any() else rgb

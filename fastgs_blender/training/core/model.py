@@ -10,6 +10,7 @@ from ...model.appearance import RGB, SH, Features
 from ...model.gaussians import Clip, GaussianModel, Raster
 from ...model.motion import Basis, Polynomial, Static, trained_motions
 from ...model.temporal import Always, Radial
+from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 
 PLACE = slice(6, 9)
@@ -37,7 +38,7 @@ def motion_basis(motion: str, order: int, clip: Clip) -> Basis:
     return make(usual)
 
 
-def empty_model(settings, clip: Clip, axes: str) -> GaussianModel:
+def empty_model(settings: Settings, clip: Clip, axes: str) -> GaussianModel:
     """A model of the settings' kinds without any Gaussian.  A clip of one frame gives a model without time."""
     still = clip.frame_count < 2
     if settings.appearance == "features":

@@ -5,8 +5,10 @@ Without them training reproduces the background with Gaussians directly in front
 """
 import numpy as np
 
-from ...captures.capture import Points
+from ...captures.capture import Capture, Points
+from ...captures.pixels.store import FrameStore
 from ...model.filmed_from import directions
+from ...training.core.settings import Settings
 from .dense import picture, shown_part, spread
 from .geometry import project, unproject, visible
 
@@ -26,7 +28,7 @@ COVER = 1.2
 """Standard deviation of the backdrop's Gaussians in their distances: there is nothing behind that may show through."""
 
 
-def with_backdrop(capture, store, settings, points: Points) -> Points:
+def with_backdrop(capture: Capture, store: FrameStore, settings: Settings, points: Points) -> Points:
     """The points, and up to settings.backdrop times settings.init_points more on a sphere around them, in directions where pictures show
     none and near there.
 

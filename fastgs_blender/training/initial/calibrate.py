@@ -14,6 +14,8 @@ import numpy as np
 from ...cameras import poses
 from ...cameras.camera import Camera
 from ...cameras.lens import Lens
+from ...captures.capture import Capture
+from ...captures.pixels.store import FrameStore
 from ...captures.posing import with_cameras
 from ...util.documentation import page
 from ...util.errors import FastGSError
@@ -45,7 +47,7 @@ def with_poses(capture, store, out, say=print):
     return with_cameras(capture, cameras, lenses)
 
 
-def calibrated(capture, store) -> tuple[dict[str, Camera], dict[str, Lens], int]:
+def calibrated(capture: Capture, store: FrameStore) -> tuple[dict[str, Camera], dict[str, Lens], int]:
     """Camera and lens of each view that the mapper can place, and the frame that showed it; the world's y axis points down."""
     frames = sorted({shot.frame for shot in capture.shots})
     best: tuple[dict, dict, int] = ({}, {}, frames[0])
@@ -126,7 +128,7 @@ def keep(path, capture, cameras, lenses):
         part.write_text(json.dumps({"capture": str(Path(capture.path).resolve()), "cameras": values}, indent=1), "utf-8")
 
 
-def kept(path, capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
+def kept(path: Path, capture: Capture) -> tuple[dict[str, Camera], dict[str, Lens]] | None:
     """The cameras and lenses in a file, None if they are another capture's; raises FastGSError."""
     again = "delete it to find the poses again"
     with reading(path, again):

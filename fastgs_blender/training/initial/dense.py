@@ -10,8 +10,9 @@ from typing import Any
 
 import numpy as np
 
-from ...captures.capture import Points, Shot, by_view
+from ...captures.capture import Capture, Points, Shot, by_view
 from ...captures.exposures import gains_of
+from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
 from ..core.schedule import POINTS, generator
@@ -138,7 +139,7 @@ def _features(capture, store, settings, moments, tick):
     return Points(points.xyz, rgb, points.t), CorrectedStore(store, response)
 
 
-def response_of(capture, settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
+def response_of(capture: Capture, settings: Settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
     """How cameras differ, from the colours [3] of points in the views that see them (captures/exposures.py)."""
     views = capture.training_views
     place = {view: k for k, view in enumerate(views)}
@@ -209,7 +210,7 @@ def among_others(points: Points, centres=None) -> Points:
     return points.take(apart <= LONELY * np.median(apart))
 
 
-def chosen_moments(capture) -> list[list[Shot]]:
+def chosen_moments(capture: Capture) -> list[list[Shot]]:
     """The training shots at up to MOMENTS evenly spread frames, grouped by frame; with one shot per frame, one group of all times."""
     by_frame: dict[int, list[Shot]] = {}
     for shot in capture.training:
@@ -259,7 +260,7 @@ def shown_part(capture, settings, shot, pixels):
     return pixels.mask if use == "only" else cover_of(use, pixels)
 
 
-def depth_range(capture) -> tuple[float, float]:
+def depth_range(capture: Capture) -> tuple[float, float]:
     """Nearest and farthest depth of the scene if no points are known: around the point at which the cameras look together."""
     centres = capture.centres()
     distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
@@ -267,7 +268,7 @@ def depth_range(capture) -> tuple[float, float]:
     return 0.3 * distance, 4 * distance
 
 
-def depths_of(xyz, capture) -> tuple[float, float]:
+def depths_of(xyz: np.ndarray, capture: Capture) -> tuple[float, float]:
     """Nearest and farthest depth of the points in all cameras, widened for surfaces that have no features."""
     depths = np.concatenate([project(shot.camera, xyz)[1][visible(shot.camera, xyz)] for shot in spread(capture.training, 64)])
     if len(depths) < FEW:

@@ -7,8 +7,10 @@ all cameras show is the light's, and belongs to the model.
 """
 import numpy as np
 
-from ...captures.capture import by_view
+from ...captures.capture import Capture, by_view
 from ...captures.exposures import BRIGHT, DARK
+from ...captures.pixels.store import FrameStore
+from ...training.core.settings import Settings
 from .dense import picture, spread
 
 MOMENTS, LEAST_MOMENTS = 16, 5
@@ -22,7 +24,7 @@ NOTICED, SURE = 0.02, 3.0
 camera counts as steady."""
 
 
-def fades_of(capture, store, settings) -> np.ndarray:
+def fades_of(capture: Capture, store: FrameStore, settings: Settings) -> np.ndarray:
     """How exposures change: for the V views trained on [V, 3] the logarithm of each channel's gain at the end of the clip, where that in
     the middle is 0; it is linear in time.  0 for cameras that are steady or move."""
     found = [_fade(capture, store, settings, shots) for shots in by_view(capture.training).values()]

@@ -2,10 +2,11 @@
 """Projects and unprojects points with pinhole cameras, for the preparation of training."""
 import numpy as np
 
+from ...cameras.camera import Camera
 from ...util.backends import load_backend
 
 
-def project(camera, xyz) -> tuple[np.ndarray, np.ndarray]:
+def project(camera: Camera, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Pixels [n, 2] and depths [n] of world points [n, 3]."""
     return load_backend("cpu").project_points(xyz, camera)
 
@@ -16,7 +17,7 @@ def unproject(camera, places, depth) -> np.ndarray:
     return (local - camera.world_to_camera[:3, 3]) @ np.linalg.inv(camera.world_to_camera[:3, :3]).T
 
 
-def visible(camera, xyz) -> np.ndarray:
+def visible(camera: Camera, xyz: np.ndarray) -> np.ndarray:
     """Which world points [n] are within the picture."""
     places, depth = project(camera, xyz)
     return (depth > 0) & (places > 0).all(1) & (places < (camera.width, camera.height)).all(1)

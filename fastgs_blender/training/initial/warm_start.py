@@ -9,7 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ... import formats
-from ...captures.capture import Points
+from ...captures.capture import Capture, Points
+from ...captures.pixels.store import FrameStore
 from ...formats.turning import with_axes
 from ...model.fitting import Fit
 from ...model.gaussians import GaussianModel
@@ -17,6 +18,7 @@ from ...model.motion import Polynomial
 from ...model.slicing import Slice, slice_model
 from ...model.temporal import Radial
 from ...rendering.api import render
+from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 from ...util.rotations import to_matrices
 from ..core.model import empty_model, motion_basis
@@ -63,7 +65,7 @@ def starting_model(capture, settings, say) -> GaussianModel | None:
     return None
 
 
-def begins_with_model(capture, settings) -> bool:
+def begins_with_model(capture: Capture, settings: Settings) -> bool:
     """Whether training begins with a model: the settings' one, or one that the capture brings and that can be read."""
     return starting_model(capture, settings, lambda text: None) is not None
 
@@ -109,14 +111,14 @@ def _least(errors: dict[int, float], tolerance: float) -> int | None:
     return next((key for key, error in errors.items() if error <= enough), None)
 
 
-def points_of(model: GaussianModel, capture) -> Points:
+def points_of(model: GaussianModel, capture: Capture) -> Points:
     """Where its Gaussians are at some moments, as points of all times."""
     slices = [slice_model(model, _time(capture, t)) for t in np.arange(MOMENTS) / MOMENTS]
     xyz = np.concatenate([now.position for now in slices])
     return Points(xyz.astype(np.float32), np.full((len(xyz), 3), 0.5, np.float32))
 
 
-def begun_with(model: GaussianModel, capture, store, settings) -> GaussianModel:
+def begun_with(model: GaussianModel, capture: Capture, store: FrameStore, settings: Settings) -> GaussianModel:
     """The model that training begins with: of the settings' kinds, with at most SHARE of their Gaussians."""
     seen, most = _seen(model, capture, store, settings), int(SHARE * settings.max_gaussians)
     if not seen.area.any():
@@ -139,7 +141,7 @@ class _Seen:
     rgb: np.ndarray
 
 
-def _seen(model, capture, store, settings) -> _Seen:
+def _seen(model: GaussianModel, capture: Capture, store: FrameStore, settings: Settings) -> _Seen:
     area, sums = np.zeros(len(model)), np.zeros((len(model), 3))
     for shot in spread(capture.training, MOST_SHOTS):
         image, camera, inside = picture(capture, store, settings, shot, SIDE)
@@ -183,7 +185,7 @@ def _shares(weight: np.ndarray, count: int) -> np.ndarray:
     return np.minimum(high * share, 1)
 
 
-def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> GaussianModel:
+def _fitted(model: GaussianModel, rgb: np.ndarray, capture: Capture, settings: Settings) -> GaussianModel:
     """The model in the settings' bases of time, by least squares over the clip, and of their other kinds.
 
     Where a Gaussian turns in a way that the basis of rotations cannot follow, its thin side grows by what the turn moves its wide one.
@@ -220,7 +222,7 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture, settings) -> Gaussia
     return replace(empty, **arrays)
 
 
-def _moments(capture) -> np.ndarray:
+def _moments(capture: Capture) -> np.ndarray:
     """Times [S] of the clip at which motion is looked at: its frames and the middles between them."""
     frames = capture.clip.frame_count
     return np.linspace(0, (frames - 1) / frames, min(2 * frames - 1, 96)) if frames > 1 else np.zeros(1)
@@ -239,7 +241,7 @@ def _angles(quaternions: np.ndarray, turns: np.ndarray) -> np.ndarray:
     return 2 * np.degrees(np.arccos(np.clip(cosine, 0, 1)))
 
 
-def _time(capture, t: float) -> float:
+def _time(capture: Capture, t: float) -> float:
     """The model's time at the capture's time t."""
     begin, length = capture.within
     return begin + length * t

@@ -14,6 +14,8 @@ from typing import Any
 import numpy as np
 
 from ... import formats
+from ...captures.capture import Capture
+from ...captures.pixels.store import FrameStore
 from ...captures.refined import refined
 from ...evaluation import training_record
 from ...formats.base import generator
@@ -89,7 +91,7 @@ class _Session:
     processes: Processes
     cameras: dict | None = None
 
-    def train(self, capture, store, cuts: list[Span], backend: str) -> dict:
+    def train(self, capture: Capture, store: FrameStore, cuts: list[Span], backend: str) -> dict:
         """All segments of a capture, a short one in one; returns the report."""
         reporter, settings = self.reporter, self.plan.settings
         reporter.status("preparing")
@@ -112,7 +114,8 @@ class _Session:
         model = models[0] if len(cuts) == 1 else joined_model(models, cuts, capture.clip, {})
         return self._finish(replace(model, provenance=about), capture, store)
 
-    def _segment(self, capture, store, cuts: list[Span], number: int, decoder: GaussianModel | None, backend: str) -> GaussianModel:
+    def _segment(self, capture: Capture, store: FrameStore, cuts: list[Span], number: int, decoder: GaussianModel | None,
+                 backend: str) -> GaussianModel:
         """Train one segment, continue it, or load it if it is finished.  Where the device fails, the CPU goes on from the last checkpoint.
 
         decoder  the model whose decoder it shares, None: it learns its own
@@ -136,7 +139,8 @@ class _Session:
             (folder / CHECKPOINT).unlink(missing_ok=True)
         return model
 
-    def _trained(self, capture, store, span: Span, folder: Path, number: int, decoder: GaussianModel | None, backend: str) -> GaussianModel:
+    def _trained(self, capture: Capture, store: FrameStore, span: Span, folder: Path, number: int, decoder: GaussianModel | None,
+                 backend: str) -> GaussianModel:
         """_segment() on one backend; raises DeviceError."""
         settings, found = self.plan.settings, checkpoint.load(folder)
         began = None
@@ -170,7 +174,7 @@ class _Session:
             raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
         return trainer.final_model({})
 
-    def _finish(self, model: GaussianModel, capture, store) -> dict:
+    def _finish(self, model: GaussianModel, capture: Capture, store: FrameStore) -> dict:
         """Write the model and measure it; returns the report."""
         out, settings, reporter = self.out, self.plan.settings, self.reporter
         written.write(model, out / MODEL)
@@ -261,7 +265,7 @@ def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, flo
     return done, elapsed
 
 
-def preview_shots(capture) -> list:
+def preview_shots(capture: Capture) -> list:
     """Shots for previews, spread over the time of the first held-out view, or of the first view where none is held out."""
     pool = capture.held_out or capture.training
     shots = [shot for shot in pool if shot.view == pool[0].view]
