@@ -220,7 +220,7 @@ class _understood:
     def __init__(self, path, words):
         self.path, self.words = path, words
 
-    def __enter__(self):
+    def __enter__(self) -> "_understood":
         return self
 
     def __exit__(self, kind, error, trace):

@@ -55,5 +55,5 @@ class Source:
     colour: str = "auto"
     gain: float = 1.0
 
-    def __str__(self):
+    def __str__(self) -> str:
         return f"{self.path}" if self.frame is None else f"{self.path}, frame {self.frame}"

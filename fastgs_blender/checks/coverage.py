@@ -92,7 +92,7 @@ def plan(space: Space, looked: Looked) -> str:
         place = at(space.planned(camera.centre[None]))[0]
         toward = space.planned(camera.world_to_camera[2:3, :3])[0, :2] * [1, -1]
         length = float(np.linalg.norm(toward))
-        toward = toward / max(length, 1e-9)
+        toward /= max(length, 1e-9)
         half = np.arctan(camera.width / 2 / camera.fx)
         wedge = [place + 34 * (np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ toward) for t in (-half, half)]
         held = view in looked.capture.held_out_views

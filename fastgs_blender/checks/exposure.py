@@ -110,7 +110,7 @@ def _uneven(section: Section, even, gains, whole) -> None:
 
 
 def _farthest(gains: Iterable[float]) -> float:
-    return round(max(gains, key=lambda gain: abs(np.log(gain))), 3)
+    return round(float(max(gains, key=lambda gain: abs(float(np.log(gain))))), 3)
 
 
 def _dark(section: Section, looked: Looked) -> None:

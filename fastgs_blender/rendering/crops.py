@@ -38,14 +38,14 @@ class Crop:
             raise FastGSError(f"the soft edge of a crop must be a number of 0 or more, not {self.soft!r}.")
 
     @cached_property
-    def _key(self):
+    def _key(self) -> tuple[bytes, bool, str, float]:
         shape = self.shape.digest if isinstance(self.shape, Volume) else self.shape
         return np.asarray(self.matrix, np.float64).tobytes(), bool(self.remove), shape, float(self.soft)
 
     def __eq__(self, other):
         return isinstance(other, Crop) and self._key == other._key
 
-    def __hash__(self):
+    def __hash__(self) -> int:
         return hash(self._key)
 
     def share(self, position: np.ndarray) -> np.ndarray:

@@ -114,7 +114,8 @@ def camera_ball(cameras: tuple[Viewpoint, ...]) -> tuple[float, float, float, fl
     for step in range(STEPS):
         centre = centre + (places[np.linalg.norm(places - centre, axis=1).argmax()] - centre) / (step + 2)
     radius = float(np.linalg.norm(places - centre, axis=1).max())
-    return (*map(float, centre), radius, min(float(np.sqrt(camera.fx * camera.fy)) for camera in cameras))
+    x, y, z = map(float, centre)
+    return (x, y, z, radius, min(float(np.sqrt(camera.fx * camera.fy)) for camera in cameras))
 
 
 @lru_cache(maxsize=64)

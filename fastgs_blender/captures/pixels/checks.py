@@ -84,7 +84,8 @@ def _synchronisation(capture: Capture) -> list[str]:
             videos.setdefault(shot.image.path, shot.view)
     if len(videos) < 2:
         return []
-    found, rates = [], {}
+    found: list[str] = []
+    rates: dict = {}
     for path, view in videos.items():
         try:
             known = index(path)

@@ -152,7 +152,7 @@ def _instance_row(instance, texels, first, group, far):
     return [*head, *move_weights, *((w[0], 0, 0, 0) for w in (*turn_weights, *change_weights)), *sampling.cameras.reshape(-1, 4)]
 
 
-def _basis(basis: Basis, t: float, size: int):
+def _basis(basis: Basis, t: float, size: int) -> tuple[int, int, np.ndarray]:
     """(NONE, WEIGHTS or POWERS; the first run of terms whose weights are not 0; weights [m, size] from it to the last such run).
 
     A run is `size` terms, which one texel of the model holds.

@@ -276,7 +276,7 @@ class Device:
         self.submit()
         mapping = self._try(lambda: coming.native.map_async("READ"))
 
-        def arrive():
+        def arrive() -> list[Any]:
             self._try(mapping.sync_wait)
             values = np.frombuffer(self._try(coming.native.read_mapped), np.uint32)
             parts = np.split(values[:sum(sizes)], np.cumsum(sizes)[:-1])

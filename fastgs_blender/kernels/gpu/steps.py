@@ -115,7 +115,7 @@ def end(device: Device, *arrays: Array) -> Callable[[], list[np.ndarray] | None]
     guesses, count = list(device.guesses.values()), len(arrays)
     arrive = device.read_later([*arrays, *(guess.longest for guess in guesses), device.spilled])
 
-    def values():
+    def values() -> list[np.ndarray] | None:
         *found, spilled = arrive()
         for guess, longest in zip(guesses, found[count:]):
             guess.largest = max(guess.largest, int(longest[0]))

@@ -21,7 +21,7 @@ class StopFlag:
     def __call__(self) -> bool:
         return self.asked
 
-    def __enter__(self):
+    def __enter__(self) -> "StopFlag":
         self._before = {}
         if threading.current_thread() is threading.main_thread():
             self._before = {number: signal.signal(number, self._handle) for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN}
