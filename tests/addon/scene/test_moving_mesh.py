@@ -117,6 +117,39 @@ def test_alembic_writes_it_as_it_moves(made, scene, tmp_path):
         assert places(back) == pytest.approx(at, abs=1e-5)
 
 
+@pytest.mark.skipif(not bpy.app.build_options.usd, reason="this Blender has no USD")
+def test_usd_without_shape_keys_writes_it_as_it_moves(made, scene, tmp_path):
+    for obj in scene.objects:
+        obj.select_set(obj == made)
+    path = str(tmp_path / "made.usdc")
+    bpy.ops.wm.usd_export(filepath=path, selected_objects_only=True, export_animation=True, export_shapekeys=False)
+    wanted = {}
+    for frame in (1, 8, 19, 30):
+        scene.frame_set(frame)
+        wanted[frame] = places(made)
+    bpy.ops.wm.usd_import(filepath=path)
+    back, = (obj for obj in bpy.context.selected_objects if obj.type == 'MESH')
+    assert back != made and "Color" in back.data.color_attributes
+    for frame, at in wanted.items():
+        scene.frame_set(frame)
+        assert places(back) == pytest.approx(at, abs=1e-5)
+
+
+def test_cloth_falls_onto_it(made, splat, scene):
+    """It lies on the bowl, which moves slowly, and does not fall through."""
+    splat.fastgs.speed = 0.25
+    made.modifiers.new("Collision", 'COLLISION')
+    bpy.ops.mesh.primitive_grid_add(x_subdivisions=12, y_subdivisions=12, size=0.5, location=(1, 2, 3.4))
+    cloth = bpy.context.object
+    cloth.modifiers.new("Cloth", 'CLOTH')
+    for frame in range(1, 31):
+        scene.frame_set(frame)
+        x, y, z = (places(cloth) - [1, 2, 3]).T
+        over = z - height(x, y, 0.25 * (frame - 1) / 30)
+        assert over.min() > -0.05  # without the collision it is 7 below at the end
+    assert np.abs(over).mean() < 0.1
+
+
 def test_a_ball_bounces_off_it(made, scene):
     """The bowl goes down, and up again under the ball, which must not fall through."""
     bpy.ops.rigidbody.world_add()
