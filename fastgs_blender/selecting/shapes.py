@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the Gaussians in a shape that is drawn in the picture, or in a ball: all of them, or those that are seen."""
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -13,6 +13,9 @@ from .light import Light, small
 
 SEEN, SHARE = 0.3, 0.1
 """A Gaussian is seen in a shape if it gives so many pixels of light there, or this share of what it would give with nothing before it."""
+CORE, MIDDLE, FEW = 0.5, 0.35, 3
+"""Within the first share of a brush's radius a Gaussian must give the second share of its light, or the stroke does not mean it: a hand
+leads the middle of a brush along a thing, and its rim over what lies beside.  Where fewer are left, what the rim touches counts too."""
 
 
 @dataclass(frozen=True)
@@ -128,10 +131,17 @@ def touched(instances: list[ViewedInstance], camera: Camera, shape: Shape, light
     """Of each of the instances, which Gaussians make what is seen in a shape, wherever their centres are: [N] bool, for grow().
 
     own  least share of what the picture shows of a Gaussian that lies in the shape: what reaches far beyond it is not meant
+
+    Of a stroke with a brush it is what makes its middle (CORE, MIDDLE).
     """
     light = light or Light(instances, camera)
-    return [_as_source(instance, np.flatnonzero((within >= SEEN) & (within >= own * whole)))
-            for instance, within, whole in zip(instances, light.within(_mask(shape, camera, light)), light.whole, strict=True)]
+    within = light.within(_mask(shape, camera, light))
+    found = [(lit >= SEEN) & (lit >= own * whole) for lit, whole in zip(within, light.whole, strict=True)]
+    if isinstance(shape, Stroke):
+        middle = light.within(_mask(replace(shape, radius=CORE * shape.radius), camera, light))
+        sure = [bits & (lit >= MIDDLE * whole) for bits, lit, whole in zip(found, middle, light.whole, strict=True)]
+        found = sure if sum(map(np.count_nonzero, sure)) >= FEW else found
+    return [_as_source(instance, np.flatnonzero(bits)) for instance, bits in zip(instances, found, strict=True)]
 
 
 def _around(pixel: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -81,8 +81,21 @@ def test_touched_is_what_gives_its_light_in_the_stroke():
                     position=np.where(first[:, None], (0, 0, -0.5), model.position))
     seen = Instance(large, np.eye(4), 0.0).viewed(CAMERA)
     stroke = Stroke(((40, 40), (56, 40)), 4.0)
-    found = touched([seen], CAMERA, stroke)[0]
+    found = touched([seen], CAMERA, replace(stroke, radius=8.0))[0]
     assert found.sum() > 10 and not found[0] and seen_under([seen], CAMERA, stroke)[0][0]
+
+
+def test_the_rim_of_a_brush_is_not_meant():
+    """What only the outer half of a brush goes over is selected, but does not say what belongs together, unless nothing else is there."""
+    model = wall(3000, 0.0, 6)
+    seen = Instance(model, np.eye(4), 0.0).viewed(CAMERA)
+    stroke = Stroke(((40, 40), (56, 40)), 8.0)
+    height = CAMERA.pixels(model.position + [0, 0, 4])[:, 1]
+    meant = touched([seen], CAMERA, stroke)[0]
+    assert meant.any() and np.abs(height[meant] - 40).max() < 6 < np.abs(height[seen_under([seen], CAMERA, stroke)[0]] - 40).max()
+    rim = np.abs(height - 40) > 6
+    edge = Instance(model.take(rim), np.eye(4), 0.0).viewed(CAMERA)
+    assert touched([edge], CAMERA, stroke)[0].any()
 
 
 @given(st.lists(st.tuples(st.integers(0, 30), st.integers(0, 30)), min_size=1, max_size=9), st.integers(0, 99), st.floats(0.5, 9))
