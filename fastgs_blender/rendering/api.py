@@ -94,7 +94,8 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     kernels = load_backend(backend)
     instances = _instances(model, camera, t)
     if settings.light is not None:
-        lit = settings.light.lit(instances, camera, kernels, progress, any(entry.light for entry in entries), exposure is None)
+        still = exposure is None and not settings.by_pixel  # what hides what is found by the splats' centres
+        lit = settings.light.lit(instances, camera, kernels, progress, any(entry.light for entry in entries), still)
         instances = [each.viewed(camera) for each in lit]
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
