@@ -14,6 +14,7 @@ def pair(seed, true, **options):
     return fg.Instance(part(fg, seed, -3, 1, **options), true, 0.0), fg.Instance(part(fg, seed, -1, 3), np.eye(4), 0.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("seed", "angle", "far", "scale"), [
     (0, 0.25, 0.3, 1.0), (4, 0.3, 0.4, 1.0), (5, 0.2, 0.3, 1.2), (6, 0.0, 0.0, 1.0)])
 def test_overlapping_parts_fit(seed, angle, far, scale):
@@ -31,6 +32,7 @@ def test_recoloured_and_thinned_copies_fit():
     assert off(found.matrix @ true, place(4)[0]) < 0.04
 
 
+@pytest.mark.slow
 def test_it_is_searched_for_all_around():
     true = motion(np.random.default_rng(15), 2.4, 8.0)
     moving, fixed = fg.Instance(part(fg, 4, -3, 2), true, 0.0), fg.Instance(part(fg, 4, -2, 3), np.eye(4), 0.0)
@@ -40,12 +42,14 @@ def test_it_is_searched_for_all_around():
         fg.align(moving, fixed, search=False)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("other", [part(fg, 9, -3, 3, features=np.random.default_rng(0).uniform(size=(13000, 3))), part(fg, 0, 1.5, 3)])
 def test_what_does_not_overlap_is_refused(other):
     with pytest.raises(fg.FastGSError, match="three pairs"):
         fg.align(fg.Instance(part(fg, 0, -3, 0), np.eye(4), 0.0), fg.Instance(other, np.eye(4), 0.0))
 
 
+@pytest.mark.slow
 def test_two_floors_slide():
     flat = part(fg, 0, -3, 3)
     floor = flat.take(flat.position[:, 2] < 0.02)
