@@ -2,12 +2,14 @@
 """Grow to the Thing on scenes whose truth is known, a lasso among 300 000 Gaussians, and redraws with a selection.
 
     python benchmarks/selecting.py [--count 20000] [--scene walker] [--speed]
+    python benchmarks/selecting.py --many [--count 6000] [--scene gears]
     python benchmarks/selecting.py --capture captures/room --run runs/room/model.safetensors --things Walker
 
 A stroke over the thing and one over what is not it are drawn on one frame of one view; the masks of what is found and of the truth are
-compared in views and on frames without strokes.  --run takes a model that was trained on a capture of make_capture.py, and --things what
-the names of the thing's objects begin with.  Then the second stroke is drawn beside the thing.  Redraws need Blender's bpy and an EGL
-driver.
+compared in views and on frames without strokes.  --many takes the scenes of touching_many.py instead, three pairs of strokes for each
+wanted thing, and compares by the light of Gaussians; all of them take minutes.  --run takes a model that was trained on a capture of
+make_capture.py, and --things what the names of the thing's objects begin with.  Then the second stroke is drawn beside the thing.  Redraws
+need Blender's bpy and an EGL driver.
 """
 from __future__ import annotations
 
@@ -16,6 +18,7 @@ import json
 import sys
 import tempfile
 import time
+import warnings
 from pathlib import Path
 
 import numpy as np
@@ -24,19 +27,21 @@ from PIL import Image
 ROOT = Path(__file__).resolve().parents[1]
 sys.path[:0] = [str(ROOT), str(ROOT / "tests" / "library")]
 
+import touching_many  # noqa: E402
 import touching_scenes as scenes  # noqa: E402
 
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.selecting.grow import grow  # noqa: E402
 from fastgs_blender.selecting.joins import joins  # noqa: E402
 from fastgs_blender.selecting.light import Light  # noqa: E402
-from fastgs_blender.selecting.shapes import Lasso, seen_under, touched, under  # noqa: E402
+from fastgs_blender.selecting.shapes import Lasso, Stroke, seen_under, touched, under  # noqa: E402
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--count", type=int, default=20_000)
-    parser.add_argument("--scene", choices=scenes.SCENES)
+    parser.add_argument("--count", type=int)
+    parser.add_argument("--scene")
+    parser.add_argument("--many", action="store_true", help="the thirty scenes of touching_many.py")
     parser.add_argument("--run", type=Path)
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--things", nargs="+", default=[])
@@ -45,8 +50,15 @@ def main():
     if options.capture:
         filmed(options.capture, fg.load(options.run), tuple(options.things))
         return
-    for name in () if options.speed else [options.scene] if options.scene else scenes.SCENES:
-        scene = scenes.made(name, options.count)
+    known = touching_many.SCENES if options.many else scenes.SCENES
+    if options.scene and options.scene not in known:
+        parser.error(f"--scene is one of: {', '.join(known)}")
+    names = [options.scene] if options.scene else list(known)
+    if options.many:
+        many(names, options.count or 6000)
+        return
+    for name in () if options.speed else names:
+        scene = scenes.made(name, options.count or 20_000)
         model = scene.model
         for against in (True, False):
             seconds, found = timed(model, scene, against)
@@ -88,6 +100,82 @@ def beside(mask: np.ndarray, far: int = 24, near: int = 3) -> np.ndarray:
         wide = np.pad(rings[-1], 1)
         rings.append(wide[1:-1, 1:-1] | wide[:-2, 1:-1] | wide[2:, 1:-1] | wide[1:-1, :-2] | wide[1:-1, 2:])
     return rings[far] & ~rings[near]
+
+
+def many(names: list[str], count: int):
+    """Prints, of each scene of touching_many.py and of all, the mean over its pairs of strokes and how many reach 0.9."""
+    reached = []
+    for name in names:
+        own = by_light(name, count)
+        reached += own
+        summed(name, own)
+    summed("all", reached)
+
+
+def summed(what: str, shares: list[float]):
+    print(f"{what:16} IoU {np.mean(shares):.3f}, 0.9 or more in {np.sum(np.array(shares) >= 0.9)} of {len(shares)}", flush=True)
+
+
+def by_light(name: str, count: int, views=(1, 3, 4, 6), times=(0.05, 0.5, 0.95)) -> list[float]:
+    """Intersection over union, by the light of Gaussians in views and at times without strokes, for each pair of strokes in a scene."""
+    things, wanted = touching_many.SCENES[name]()
+    with warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # the bake's, on how closely fast limbs are followed
+        scene = scenes.baked(things, (), count, basis="auto")
+    small, large = (scenes.cameras(8, size) for size in ((160, 120), (320, 240)))
+    shown = [(labels(scene, small[view], t), lit(scene, small[view], t)[1].whole[0]) for view in views for t in times]
+    drawn = [(large[view], labels(scene, large[view], t), *lit(scene, large[view], t)) for view, t in ((0, 1 / 3), (2, 0.7), (5, 0.2))]
+    result = []
+    for these in wanted:
+        numbers = [scene.names.index(one) + 1 for one in these]
+        truth = np.isin(scene.label + 1, numbers)
+        judged = [light for picture, light in shown if np.isin(picture, numbers).sum() >= 30]
+        for (camera, picture, seen, light), pair in zip(drawn, (along, near, over_neighbour), strict=True):
+            mine = np.isin(picture, numbers)
+            if mine.sum() >= 150:
+                yes, no = (touched([seen], camera, stroke, light)[0] for stroke in pair(mine, np.where(mine, 0, picture)))
+                found = grow(scene.model, yes, no)
+                result.append(float(np.mean([light[found & truth].sum() / light[found | truth].sum() for light in judged])))
+    return result
+
+
+def labels(scene, camera, t) -> np.ndarray:
+    """Which of a scene's things, counted from 1, covers most of each pixel [h, w]; 0: none."""
+    given = [fg.Instance(scene.model, np.eye(4), t, name=name, index=k + 1).part(np.flatnonzero(scene.label == k))
+             for k, name in enumerate(scene.names)]
+    drawn = fg.render(given, camera, passes=["object_index", "alpha"])
+    return np.where(drawn["alpha"] > 0.5, np.round(drawn["object_index"]), 0).astype(int)
+
+
+def lit(scene, camera, t):
+    """A scene as a camera sees it, and its light."""
+    seen = fg.Instance(scene.model, np.eye(4), t).viewed(camera)
+    return seen, Light([seen], camera)
+
+
+def along(mine, others):
+    """The longest strokes within a mask [h, w] and within what the other things cover [h, w]."""
+    return scenes.stroke_in(mine, 0, 5.0), scenes.stroke_in(others > 0, 1, 5.0)
+
+
+def near(mine, others):
+    """A shorter stroke, and one close beside the thing."""
+    close = beside(mine) & (others > 0)
+    return shorter(scenes.stroke_in(mine, 2, 4.0), 0.7), scenes.stroke_in(close if close.sum() > 60 else others > 0, 3, 4.0)
+
+
+def over_neighbour(mine, others):
+    """A short stroke with a wide brush, and one over that of the others of which most lies at the thing's edge."""
+    edge = beside(mine, 5, 1) & (others > 0)
+    numbers, counts = np.unique(others[edge if edge.any() else others > 0], return_counts=True)
+    neighbour = others == numbers[np.argmax(counts)]
+    return shorter(scenes.stroke_in(mine, 4, 6.0), 0.5), shorter(scenes.stroke_in(neighbour, 5, 6.0), 0.8)
+
+
+def shorter(stroke: Stroke, share: float) -> Stroke:
+    """A share of a straight stroke, around its middle."""
+    ends = np.array(stroke.middles)
+    return Stroke(tuple((float(x), float(y)) for x, y in ends.mean(0) + share * (ends - ends.mean(0))), stroke.radius)
 
 
 def timed(model, scene, against):

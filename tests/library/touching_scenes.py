@@ -13,16 +13,31 @@ from fastgs_blender.selecting.shapes import Stroke, touched
 from fastgs_blender.surfaces.bake import surface_samples
 
 FRAMES = 24
+SUN = np.array([0.4, -0.5, 0.77])
+"""Where the light comes from that shades faces."""
 
 
 @dataclass(frozen=True, eq=False)
 class Thing:
-    """A mesh: its vertices [S, V, 3] over the clip, its triangles, its colour (sRGB), and how much the colour varies over it."""
+    """A mesh: its vertices [S, V, 3] over the clip, its triangles, its colour (sRGB), and how much the colour varies over it.
+
+    texture  instead of these two: from places [M, 3] in the first frame to their colours [M, 3]
+    shaded   faces are darker by the way that they look in the first frame
+    """
 
     points: np.ndarray
     triangles: np.ndarray
     colour: tuple[float, float, float]
     varies: float = 0.05
+    texture: Callable[[np.ndarray], np.ndarray] | None = None
+    shaded: bool = False
+
+    def shade(self) -> np.ndarray:
+        """How light each of its triangles is [T]."""
+        a, b, c = np.moveaxis(self.points[0][self.triangles], 1, 0)
+        normal = np.cross(b - a, c - a)
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-9)
+        return 0.45 + 0.55 * np.minimum(np.abs(normal @ SUN), 1)
 
 
 @dataclass(frozen=True, eq=False)
@@ -40,33 +55,40 @@ class Scene:
         return np.isin(self.label, [self.names.index(name) for name in self.wanted])
 
 
-def baked(things: dict[str, Thing], wanted: tuple[str, ...], count: int, seed: int = 0) -> Scene:
+def baked(things: dict[str, Thing], wanted: tuple[str, ...], count: int, seed: int = 0, basis: str = "cosine") -> Scene:
     """A scene of `count` Gaussians."""
     starts = np.cumsum([0] + [thing.points.shape[1] for thing in things.values()])
     triangles = np.concatenate([thing.triangles + start for thing, start in zip(things.values(), starts)])
     part = np.repeat(np.arange(len(things)), [len(thing.triangles) for thing in things.values()])
     points = np.concatenate([thing.points for thing in things.values()], 1)
     colour, varies = (np.array([getattr(thing, key) for thing in things.values()]) for key in ("colour", "varies"))
+    shade = np.concatenate([thing.shade() if thing.shaded else np.ones(len(thing.triangles)) for thing in things.values()])
     waves = 6 * np.random.default_rng(seed).normal(size=(3, 3))
 
     def paint(triangle, weights):
         place = np.einsum("nk,nkd->nd", weights, points[0][triangles[triangle]])
-        return np.clip(colour[part[triangle]] + varies[part[triangle], None] * np.sin(place @ waves), 0.02, 0.98)
+        painted = colour[part[triangle]] + varies[part[triangle], None] * np.sin(place @ waves)
+        for number, thing in enumerate(things.values()):
+            if thing.texture:
+                painted[part[triangle] == number] = thing.texture(place[part[triangle] == number])
+        return np.clip(painted * shade[triangle, None], 0.02, 0.98)
 
     samples = surface_samples(points, triangles, count)
-    model = fg.bake(points, triangles, paint, samples=samples, part=part, basis="cosine").model
+    model = fg.bake(points, triangles, paint, samples=samples, part=part, basis=basis).model
     return Scene(model, tuple(things), part[samples.triangle], wanted)
 
 
-def _moved(points: np.ndarray, path: np.ndarray) -> np.ndarray:
+def moved(points: np.ndarray, path: np.ndarray) -> np.ndarray:
+    """Points [V, 3] that go along a path [S, 3]: [S, V, 3]."""
     return points + np.asarray(path)[:, None]
 
 
-def _still(points: np.ndarray) -> np.ndarray:
+def still(points: np.ndarray) -> np.ndarray:
+    """Points [V, 3] that stay: [S, V, 3]."""
     return np.repeat(points[None], FRAMES, 0)
 
 
-def _box(low, high, cells: int = 4):
+def box(low, high, cells: int = 4):
     """A box from low to high of fine faces."""
     points, triangles = [], []
     face, cut = grid(cells)
@@ -79,7 +101,7 @@ def _box(low, high, cells: int = 4):
     return np.asarray(low) + np.concatenate(points) * np.subtract(high, low), np.concatenate(triangles)
 
 
-def _limb(start, end, radius: float):
+def limb(start, end, radius: float):
     """An ellipsoid from start to end."""
     points, triangles = sphere(12)
     along = np.subtract(end, start)
@@ -91,7 +113,8 @@ def _limb(start, end, radius: float):
     return np.einsum("vk,skd->svd", points, axes) + 0.5 * np.add(start, end)[:, None], triangles
 
 
-def _turning(points, angles, axis: int):
+def turning(points, angles, axis: int):
+    """Points [V, 3] that turn about an axis by angles [S]: [S, V, 3]."""
     a, b = (axis + 1) % 3, (axis + 2) % 3
     out = np.repeat(np.asarray(points)[None], len(angles), 0)
     c, s = np.cos(angles)[:, None], np.sin(angles)[:, None]
@@ -99,9 +122,10 @@ def _turning(points, angles, axis: int):
     return out
 
 
-def _floor(size: float = 2.4):
+def floor(size: float = 2.4):
+    """A floor that stays: points [S, V, 3], triangles."""
     points, triangles = grid(12)
-    return _still((points - [0.5, 0.5, 0]) * [size, size, 1]), triangles
+    return still((points - [0.5, 0.5, 0]) * [size, size, 1]), triangles
 
 
 def _walker():
@@ -109,9 +133,9 @@ def _walker():
     t = np.linspace(0, 1, FRAMES)
     hip = np.stack([-0.4 + 0.8 * t, 0 * t, 0.62 + 0.015 * np.cos(4 * np.pi * t)], 1)
     shoulder = hip + [0, 0, 0.5]
-    things = {"floor": Thing(*_floor(), (0.45, 0.42, 0.4), 0.08),
-              "torso": Thing(*_limb(hip - [0, 0, 0.05], shoulder, 0.16), (0.15, 0.3, 0.6)),
-              "head": Thing(*_limb(shoulder, shoulder + [0, 0, 0.3], 0.11), (0.8, 0.6, 0.5))}
+    things = {"floor": Thing(*floor(), (0.45, 0.42, 0.4), 0.08),
+              "torso": Thing(*limb(hip - [0, 0, 0.05], shoulder, 0.16), (0.15, 0.3, 0.6)),
+              "head": Thing(*limb(shoulder, shoulder + [0, 0, 0.3], 0.11), (0.8, 0.6, 0.5))}
     for side in (-1, 1):
         swing = side * 0.55 * np.sin(2 * np.pi * t)
         top = hip + [0, 0.1 * side, 0]
@@ -120,9 +144,9 @@ def _walker():
         foot = knee + 0.32 * np.stack([np.sin(bent), 0 * t, -np.cos(bent)], 1)
         foot[:, 2] = np.maximum(foot[:, 2], 0.03)
         hand = shoulder + [0, 0.22 * side, 0] + 0.45 * np.stack([-np.sin(swing), 0 * t, -np.cos(swing)], 1)
-        things |= {f"thigh {side}": Thing(*_limb(top, knee, 0.08), (0.35, 0.3, 0.28)),
-                   f"shin {side}": Thing(*_limb(knee, foot, 0.06), (0.3, 0.25, 0.25)),
-                   f"arm {side}": Thing(*_limb(shoulder + [0, 0.14 * side, 0], hand, 0.055), (0.75, 0.55, 0.45))}
+        things |= {f"thigh {side}": Thing(*limb(top, knee, 0.08), (0.35, 0.3, 0.28)),
+                   f"shin {side}": Thing(*limb(knee, foot, 0.06), (0.3, 0.25, 0.25)),
+                   f"arm {side}": Thing(*limb(shoulder + [0, 0.14 * side, 0], hand, 0.055), (0.75, 0.55, 0.45))}
     return things, tuple(name for name in things if name != "floor")
 
 
@@ -131,10 +155,10 @@ def _ball_and_box():
     t = np.linspace(0, 1, FRAMES)
     points, triangles = sphere(16)
     way = 0.325 * (1 - np.cos(np.pi * t))
-    rolled = _turning(points * 0.2, way / 0.2, 1)
+    rolled = turning(points * 0.2, way / 0.2, 1)
     ball = rolled + np.stack([-0.6 + way, 0 * t, 0.2 + 0 * t], 1)[:, None]
-    return {"table": Thing(*_floor(1.8), (0.5, 0.35, 0.2)), "ball": Thing(ball, triangles, (0.6, 0.3, 0.25), 0.12),
-            "box": Thing(_still(_box((0.25, -0.25, 0), (0.75, 0.25, 0.5))[0]), _box((0, 0, 0), (1, 1, 1))[1], (0.55, 0.4, 0.25))}, ("ball",)
+    return {"table": Thing(*floor(1.8), (0.5, 0.35, 0.2)), "ball": Thing(ball, triangles, (0.6, 0.3, 0.25), 0.12),
+            "box": Thing(still(box((0.25, -0.25, 0), (0.75, 0.25, 0.5))[0]), box((0, 0, 0), (1, 1, 1))[1], (0.55, 0.4, 0.25))}, ("ball",)
 
 
 def _cloths():
@@ -148,7 +172,7 @@ def _cloths():
         drop = 1 - sheet[..., 2]
         sheet[..., 1] = at + 0.16 * drop * np.sin(2 * np.pi * t + phase + 3 * sheet[..., 0])
         things[name] = Thing(sheet, triangles, colour)
-    things["wall"] = Thing(_still(((points - [0.5, 0, 0]) * [2, 1.3, 1])[:, [0, 2, 1]] + [0, 0.4, 0]), triangles, (0.5, 0.5, 0.5))
+    things["wall"] = Thing(still(((points - [0.5, 0, 0]) * [2, 1.3, 1])[:, [0, 2, 1]] + [0, 0.4, 0]), triangles, (0.5, 0.5, 0.5))
     return things, ("front",)
 
 
@@ -159,18 +183,18 @@ def _same_colours():
     angle = 1.5 + 2.5 * t
     away = 0.41 + 0.35 * (1 - np.sin(np.pi * t))
     path = np.stack([away * np.cos(angle), away * np.sin(angle), 0.2 + 0 * t], 1)
-    rolled = _moved(points * 0.2, path)
+    rolled = moved(points * 0.2, path)
     grey = (0.5, 0.47, 0.44)
-    return {"floor": Thing(*_floor(1.8), grey, 0.03), "roller": Thing(rolled, triangles, grey, 0.03),
-            "rest": Thing(_still(points * 0.2 + [0, 0, 0.2]), triangles, grey, 0.03)}, ("roller",)
+    return {"floor": Thing(*floor(1.8), grey, 0.03), "roller": Thing(rolled, triangles, grey, 0.03),
+            "rest": Thing(still(points * 0.2 + [0, 0, 0.2]), triangles, grey, 0.03)}, ("roller",)
 
 
 def _still_life():
     """A jug and a bowl stand on a table, side by side; nothing moves."""
     points, triangles = sphere(16)
-    return {"table": Thing(*_floor(1.8), (0.42, 0.3, 0.2)),
-            "jug": Thing(_still(points * [0.2, 0.2, 0.32] + [-0.15, 0, 0.31]), triangles, (0.3, 0.45, 0.5)),
-            "bowl": Thing(_still(points * [0.28, 0.28, 0.15] + [0.3, 0.05, 0.15]), triangles, (0.6, 0.55, 0.35))}, ("jug",)
+    return {"table": Thing(*floor(1.8), (0.42, 0.3, 0.2)),
+            "jug": Thing(still(points * [0.2, 0.2, 0.32] + [-0.15, 0, 0.31]), triangles, (0.3, 0.45, 0.5)),
+            "bowl": Thing(still(points * [0.28, 0.28, 0.15] + [0.3, 0.05, 0.15]), triangles, (0.6, 0.55, 0.35))}, ("jug",)
 
 
 def _lifted():
@@ -178,13 +202,13 @@ def _lifted():
     t = np.linspace(0, 1, FRAMES)
     lift = 0.4 * np.clip((t - 0.45) / 0.55, 0, 1) ** 2
     reach = 0.5 * np.clip((0.4 - t) / 0.4, 0, 1) ** 2
-    corners, triangles = _box((-0.2, -0.2, 0.25), (0.2, 0.2, 0.5))
-    base, below = _box((-0.25, -0.25, 0), (0.25, 0.25, 0.25))
+    corners, triangles = box((-0.2, -0.2, 0.25), (0.2, 0.2, 0.5))
+    base, below = box((-0.25, -0.25, 0), (0.25, 0.25, 0.25))
     hand = np.stack([0.18 + reach, 0 * t, 0.5 + lift + 0.3 * reach], 1)
     elbow = hand + [0.45, 0, 0.25]
-    return {"floor": Thing(*_floor(1.8), (0.4, 0.4, 0.42)), "base": Thing(_still(base), below, (0.55, 0.42, 0.3)),
-            "box": Thing(_moved(corners, np.stack([0 * t, 0 * t, lift], 1)), triangles, (0.5, 0.4, 0.3)),
-            "arm": Thing(*_limb(hand, elbow, 0.08), (0.75, 0.55, 0.45))}, ("box",)
+    return {"floor": Thing(*floor(1.8), (0.4, 0.4, 0.42)), "base": Thing(still(base), below, (0.55, 0.42, 0.3)),
+            "box": Thing(moved(corners, np.stack([0 * t, 0 * t, lift], 1)), triangles, (0.5, 0.4, 0.3)),
+            "arm": Thing(*limb(hand, elbow, 0.08), (0.75, 0.55, 0.45))}, ("box",)
 
 
 SCENES: dict[str, Callable[[], tuple[dict[str, Thing], tuple[str, ...]]]] = {
