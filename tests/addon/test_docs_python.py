@@ -43,6 +43,7 @@ def shot(scene, tmp_path, add_camera, monkeypatch):
     return tmp_path
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
 def test_python_for_blender_runs(page, shot, fg):
     import bpy

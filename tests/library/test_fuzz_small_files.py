@@ -7,6 +7,7 @@ import shutil
 
 import mutations
 import numpy as np
+import pytest
 import tiny_captures
 
 from fastgs_blender.cameras.camera import Camera
@@ -90,6 +91,7 @@ def test_times_without_numbers_of_moments(tmp_path):
     mutations.attacks("timestamps", read, {"many": {TIMES: many.encode()}}, tmp_path, memory=256 << 20)
 
 
+@pytest.mark.slow
 def test_journals(tmp_path):
     """A journal replaces and removes what it is of, and nothing else, whatever it says."""
     model = tmp_path / "made" / "m.pt"

@@ -165,6 +165,7 @@ def test_the_same_commit_builds_the_same_zip(builder, numbas, tmp_path, monkeypa
     assert builder.made().isoformat() == "2001-09-09T01:46:40+00:00"
 
 
+@pytest.mark.slow
 def test_the_zip_lists_what_is_inside(builder, numbas, tmp_path):
     path = builder.build("windows-x64", numbas(), tmp_path)
     with zipfile.ZipFile(path) as file:
@@ -276,6 +277,7 @@ def test_a_repository_of_zips(builder, wheels, numbas, tmp_path, monkeypatch, ca
     assert "numba-0.68.1-cp311-cp311-win_amd64.whl: 0.0 MB, BSD-2-Clause" in printed
 
 
+@pytest.mark.slow
 def test_the_zip_for_the_store_downloads_nothing(builder, wheels, numbas, tmp_path, monkeypatch):
     """No pip, no permission for the network, and one zip a system; the other modules import none of what is left out."""
     monkeypatch.setattr(wheels, "download", lambda name, folder: numbas())

@@ -80,6 +80,7 @@ def test_render(model, call, words):
     assert str(told.value).endswith(".") and "\n" not in str(told.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("call", "words"), MAKES)
 def test_everything_else(tmp_path, monkeypatch, call, words):
     monkeypatch.chdir(tmp_path)

@@ -74,6 +74,7 @@ def done(process) -> tuple[str, int]:
     return text, process.returncode
 
 
+@pytest.mark.slow
 def test_machines_share_a_folder(begin, tmp_path):
     """Two at once make each frame; a third one finds nothing to do; the frames are those of one alone, to the byte."""
     both = [begin(tmp_path / "shared") for _ in range(2)]
@@ -92,6 +93,7 @@ def test_machines_share_a_folder(begin, tmp_path):
         np.testing.assert_array_equal(image_files.read_png(frame), image_files.read_png(tmp_path / "alone" / frame.name))
 
 
+@pytest.mark.slow
 def test_a_frame_that_fails_ends_the_process_loudly(begin, tmp_path):
     """The camera has no directions on frame 4: earlier frames are kept, the sentence is printed, the status is not 0."""
     more = "scene.camera.scale = 1, 1, 1; scene.camera.keyframe_insert('scale', frame=3)\n"
@@ -102,6 +104,7 @@ def test_a_frame_that_fails_ends_the_process_loudly(begin, tmp_path):
     assert kept == {"0001", "0002", "0003"}
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/self/statm").exists(), reason="only Linux tells a process' memory in /proc")
 def test_memory_stays_flat(begin, tmp_path):
     """Over sixty frames; benchmarks/memory.py looks at five hundred."""

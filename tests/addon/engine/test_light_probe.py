@@ -69,6 +69,7 @@ def brightest(picture):
     return (light * np.arange(len(light))).sum() / light.sum()
 
 
+@pytest.mark.slow
 def test_a_mirror_shows_what_is_seen_from_the_probes_place(scene, fg, make_model, model_file, splat_object, mirror, add_camera, now,
                                                           choose, render, probe, module):
     """A mirror that is turned by 20 degrees, beside the library's picture from the place and in the mirrored direction."""
@@ -91,6 +92,7 @@ def test_a_mirror_shows_what_is_seen_from_the_probes_place(scene, fg, make_model
     assert np.abs(found[:, ::-1] - wanted).mean() > 0.05, "another direction looks different"
 
 
+@pytest.mark.slow
 def test_a_chrome_ball_mirrors_the_fire_that_moves(scene, blob, mirror, add_camera, choose, probe, tmp_path):
     """In `-b -a`, with persistent data too: behind the camera a light goes from the left to the right."""
     add_camera()
@@ -116,6 +118,7 @@ def folder():
     return Path(image.filepath).parent
 
 
+@pytest.mark.slow
 def test_motion_blur_and_sub_frames_reach_the_mirror(scene, blob, mirror, add_camera, choose, render, probe):
     add_camera()
     mirror("uv_sphere", radius=1.2, segments=48, ring_count=24)
@@ -135,6 +138,7 @@ def test_motion_blur_and_sub_frames_reach_the_mirror(scene, blob, mirror, add_ca
     assert lit[1] >= lit[0] + 2 and brightest(blurred) == pytest.approx(brightest(sharp), abs=1.0)
 
 
+@pytest.mark.slow
 def test_the_world_stays_where_there_are_no_splats(scene, blob, mirror, sky, add_camera, choose, render, probe):
     """It is seen by the camera, and in the mirror beside the splats; splats that the camera sees are no part of the background."""
     add_camera()
@@ -155,6 +159,7 @@ def test_the_world_stays_where_there_are_no_splats(scene, blob, mirror, sky, add
     np.testing.assert_allclose(render("PNG16")[2, 2, :3], (0.4, 0.1, 0.1), atol=0.01)
 
 
+@pytest.mark.slow
 def test_highlights_make_white_brighter_and_grey_not(scene, blob, mirror, add_camera, choose, render, probe):
     add_camera()
     mirror("uv_sphere", radius=0.8)
@@ -173,6 +178,7 @@ def test_highlights_make_white_brighter_and_grey_not(scene, blob, mirror, add_ca
     assert render("PNG16")[24, 32, 0] == pytest.approx(grey, abs=1e-3)
 
 
+@pytest.mark.slow
 def test_what_is_inside_of_the_sphere_is_left_out(blob, mirror, add_camera, choose, render, probe):
     """A splat in the ball does not cover all that the ball mirrors."""
     add_camera()
@@ -186,6 +192,7 @@ def test_what_is_inside_of_the_sphere_is_left_out(blob, mirror, add_camera, choo
     assert render("PNG16")[24, 32, 0] < 0.2
 
 
+@pytest.mark.slow
 def test_off_and_deleting_take_all_of_it_away(scene, module, blob, mirror, sky, add_camera, choose, render, probe):
     kinds = ("scenes", "worlds", "images", "node_groups")
     facts, own = module("scene.sky").facts, scene.world
@@ -210,6 +217,7 @@ def test_off_and_deleting_take_all_of_it_away(scene, module, blob, mirror, sky, 
     assert [len(getattr(bpy.data, kind)) for kind in kinds] == before and scene.world == own and facts(own) == looks
 
 
+@pytest.mark.slow
 def test_two_scenes_and_view_layers_have_light_of_their_own(scene, blob, mirror, add_camera, choose, probe, module, tmp_path):
     """A second view layer without the splats is not lit by them; neither is a second scene, which has other splats and its own probe."""
     add_camera()
@@ -250,6 +258,7 @@ def tree_of(scene):
     return scene.compositing_node_group if bpy.app.version >= (5, 0, 0) else scene.node_tree
 
 
+@pytest.mark.slow
 def test_nearby_reflections_come_from_the_surface(scene, screen, mirror, wall, add_camera, choose, render, probe):
     """The surface of splats is seen in the mirror where it stands, and not by the camera, which sees the splats."""
     add_camera(lens=30.0)

@@ -46,6 +46,7 @@ def left_out(picture, alone, caplog, what) -> bool:
     return bool(lines)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("group", ["object", "crops", "filters"])
 def test_no_number_of_an_object_harms_another_one(two, render, caplog, group):
     bad, alone = two
@@ -83,6 +84,7 @@ def test_a_crop_mesh_with_a_vertex_that_is_no_number(two, render, caplog, add, b
     assert left_out(render()["ViewLayer.Combined"], alone, caplog, broken)
 
 
+@pytest.mark.slow
 def test_proxies_and_copies_follow_although_a_number_is_none(two, scene, capfd):
     """Handlers that read the same settings raise nothing; the panel says that nothing is shown."""
     bad, _ = two
@@ -97,6 +99,7 @@ def test_proxies_and_copies_follow_although_a_number_is_none(two, scene, capfd):
             assert "Traceback" not in (found := capfd.readouterr().err), (name, value, found)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("owner", "names"), [
     (lambda scene: scene.render, ("motion_blur_shutter", "pixel_aspect_x", "border_max_x")),
     (lambda scene: scene.camera.data, ("lens", "sensor_width", "shift_x", "clip_start", "clip_end")),

@@ -108,6 +108,7 @@ def grown(mask, pixels):
     return out
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("body", ["torus"])
 def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, body):
     """Brightness, edges of a moving box's shadow, and rest where nothing moves."""
@@ -129,6 +130,7 @@ def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, 
     assert there[still].all() and np.abs(srgb(splats()[..., :3]) - srgb(lit[..., :3]))[still].max() < 1 / 255
 
 
+@pytest.mark.slow
 def test_points_spots_and_the_world(scene, shot, lamp):
     lamp('POINT', (1.2, -1.2, 2), energy=60, shadow_soft_size=0.05, color=(1, 0.7, 0.4))
     lamp('SPOT', (-1.5, -1, 2.5), energy=150, shadow_soft_size=0.05, spot_size=0.7, spot_blend=0.5)
@@ -140,6 +142,7 @@ def test_points_spots_and_the_world(scene, shot, lamp):
     assert psnr(lit(), cycles()) > 32
 
 
+@pytest.mark.slow
 def test_a_world_with_a_picture_lights_as_in_cycles(scene, shot, tmp_path):
     """A sky that is bright on one side, with a warm sun in it: it lights, and meshes throw its shadows."""
     image = bpy.data.images.new("Around", 128, 64, float_buffer=True)

@@ -93,6 +93,7 @@ def interior(mask) -> np.ndarray:
     return inside
 
 
+@pytest.mark.slow
 def test_every_cell_of_a_shot_is_right(shot, choose, module, tmp_path):
     splats, meshes = {}, {}
     for scene in shot:

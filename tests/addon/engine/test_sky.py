@@ -61,6 +61,7 @@ def of_cycles(scene, render):
     return picture
 
 
+@pytest.mark.slow
 def test_a_world_is_rendered_in_the_cameras_directions(scene, world, module, made, make_model, model_file, splat_object, add_camera,
                                                        render):
     """Through a shifted lens, and from elsewhere; the panorama is made once for all pictures, and again when a node changes."""

@@ -228,6 +228,7 @@ def at_rest(module, monkeypatch):
     monkeypatch.setattr(module("engine.viewport.view"), "RESTING", -1.0)
 
 
+@pytest.mark.slow
 def test_passes_are_shown_in_their_false_colours(module, fg, make_model, model_file, snapshot, eye, draw, view, expected, data, at_rest):
     """Each pass is the final one; the picture comes back as the GPU draws it."""
     table, linear = module("fastgs_blender.rendering.passes").PASSES, module("scene.colour").srgb_to_linear

@@ -146,6 +146,7 @@ def test_looks(module, fg, moving, camera, drawn, kind, space):
     assert psnr(want, expected(module, [(model, np.eye(4), 0.4)], camera())) < 30
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["sh2", "sigmoid"])
 def test_crops_with_soft_edges_and_filters(module, fg, moving, camera, drawn, kind):
     crops, filters = module("fastgs_blender.rendering.crops"), module("fastgs_blender.rendering.filters")

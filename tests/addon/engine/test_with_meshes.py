@@ -354,6 +354,7 @@ def test_names_of_blender_4_are_short_and_each_its_own(module):
     assert len(set(found)) == len(names) and max(map(len, found)) <= 29 and found[:6] == names[:6]
 
 
+@pytest.mark.slow
 def test_all_passes_are_in_one_file(scene, screen, wall, add_camera, choose, module, tmp_path):
     """The picture, the splats' passes and those of the meshes, with their names for Cryptomatte, beside the scene's own picture."""
     import OpenEXR

@@ -248,6 +248,7 @@ def test_fast_motion_is_sampled_more_often_by_itself(bake, add, fg, capfd):
         assert np.percentile(away, 99) <= 0.01 * 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("action", "frames"), [("Robot_Running", (0, 9.5, 17, 21.5))])
 def test_a_real_character(fg, target, action, frames):
     file = Path(__file__).resolve().parents[4] / "shared" / "data" / "robot" / "RobotExpressive.blend"
@@ -272,6 +273,7 @@ def test_a_real_character(fg, target, action, frames):
     assert {tuple(c) for c in np.unique(model.features.astype(float).round(2), axis=0).tolist()} == expected
 
 
+@pytest.mark.slow
 def test_in_steps_beside_the_user(module, add, scene, fg):
     """As with a window: the work goes on in a thread, gives the same model, and can be broken off at any point."""
     baking = module("scene.meshes.baking")

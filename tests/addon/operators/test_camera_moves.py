@@ -231,6 +231,7 @@ def filmed(bpy, fg, module, make_model, model_file, scene):
     return make
 
 
+@pytest.mark.slow
 def test_an_orbit_that_leaves_the_filmed_side_says_so_and_offers_the_arc_that_does_not(bpy, scene, filmed, add_camera, capfd):
     """Filmed from -130 to -50 degrees: a turn that begins at -90 leaves the side, and 15 degrees beside it, after 55 of 360 degrees."""
     filmed(-130, -90, -50)

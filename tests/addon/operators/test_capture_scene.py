@@ -97,6 +97,7 @@ def test_a_scene_is_filmed_and_left_as_it_was(moving_scene, module, fg, tmp_path
     assert np.quantile(np.abs(points.xyz[~moves, 2] + 0.5), 0.9) < 0.05
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("world", "textured", "filmed"), [
     ('AUTO', False, False), ('AUTO', True, True), ('FILM', False, True), ('LEAVE_OUT', True, False)])
 def test_a_world_that_our_engine_shows_itself_is_left_out(moving_scene, module, tmp_path, world, textured, filmed):

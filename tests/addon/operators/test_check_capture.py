@@ -30,6 +30,7 @@ def capture(module, tmp_path):
     return folder
 
 
+@pytest.mark.slow
 def test_a_check_leaves_a_text_and_a_page(module, scene, capture, monkeypatch):
     """What is wrong stands in the text, on the page and in the panel; undo has nothing to take back."""
     (capture / "Left" / "0002.png").unlink()

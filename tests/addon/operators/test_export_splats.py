@@ -70,6 +70,7 @@ def test_ranges_selections_and_the_scenes_frame(scene, fg, make_model, model_fil
     assert last - first == pytest.approx(20 * 2 / 10, rel=1e-4)
 
 
+@pytest.mark.slow
 def test_the_whole_model(fg, make_model, model_file, tmp_path):
     model = make_model(30, basis=fg.Polynomial(3), motion=np.ones((30, 3, 3)), axes="RFU")
     bpy.ops.import_scene.fastgs(filepath=model_file(model))
@@ -80,6 +81,7 @@ def test_the_whole_model(fg, make_model, model_file, tmp_path):
     assert np.array_equal(fg.load(tmp_path / "a.safetensors").position, model.position)
 
 
+@pytest.mark.slow
 def test_compressing_shows_how_far_it_is_and_can_be_broken_off(module, exporter, make_model, model_file, monkeypatch, tmp_path):
     background = module("scene.background")
     monkeypatch.setattr(background, "WAIT", 0.002)

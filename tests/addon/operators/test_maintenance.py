@@ -54,6 +54,7 @@ def session_kernels(module):
     return cache.folder()
 
 
+@pytest.mark.slow
 def test_compile_now_and_clear(module, session_kernels, empty_cache):
     cache = module("fastgs_blender.kernels.cpu.cache")
     assert not cache.is_filled() and not cache.is_begun()

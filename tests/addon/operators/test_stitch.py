@@ -129,6 +129,7 @@ def test_a_cross_fade_is_exact_between_frames(fg, two):
     assert opacity(obj, 25) == pytest.approx(0.4, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("fps", "start", "speed"), [(25, 1, 1.0), (30, 11, 0.5)])
 def test_a_loop_repeats_in_the_scene(fg, scene, model_file, module, fps, start, speed):
     """The object shows the same after each round, at any frame rate and speed."""

@@ -112,6 +112,7 @@ def told(state):
     return state.text
 
 
+@pytest.mark.slow
 def test_killed_and_resumed(jobs, toy, tmp_path, small_disk, barrier):
     """kill -9 in the middle is told, and so are a full disk and a capture that has gone; the run goes on to the same end."""
     job = add(jobs, toy, (small_disk or tmp_path) / "run", 30)

@@ -51,6 +51,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("hidden", [False, True])
 @pytest.mark.parametrize("name", sorted(REFUSED))
 def test_what_would_break_a_proxy_is_undone_and_told(splats, where, told, module, name, hidden):

@@ -52,6 +52,7 @@ def off(obj, t):
     return np.abs(z - height(x, y, t)).mean() / 2
 
 
+@pytest.mark.slow
 def test_it_follows_frames_sub_frames_and_the_clips_speed(scene, splat, made):
     count = len(made.data.vertices)
     for frame, part in ((1, 0.0), (30, 0.0), (12, 0.5), (20, 0.25)):
@@ -100,6 +101,7 @@ def test_it_is_one_step_of_undo(splat, scene):
     assert not any(obj.fastgs.surface_of for obj in bpy.context.scene.objects)
 
 
+@pytest.mark.slow
 def test_alembic_writes_it_as_it_moves(made, scene, tmp_path):
     for obj in scene.objects:
         obj.select_set(obj == made)
@@ -117,6 +119,7 @@ def test_alembic_writes_it_as_it_moves(made, scene, tmp_path):
         assert places(back) == pytest.approx(at, abs=1e-5)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(not bpy.app.build_options.usd, reason="this Blender has no USD")
 def test_usd_without_shape_keys_writes_it_as_it_moves(made, scene, tmp_path):
     for obj in scene.objects:
@@ -135,6 +138,7 @@ def test_usd_without_shape_keys_writes_it_as_it_moves(made, scene, tmp_path):
         assert places(back) == pytest.approx(at, abs=1e-5)
 
 
+@pytest.mark.slow
 def test_cloth_lies_on_a_ball_that_goes_up_and_down(scene, fg, model_file):
     bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=4)
     ball = bpy.context.object
@@ -157,6 +161,7 @@ def test_cloth_lies_on_a_ball_that_goes_up_and_down(scene, fg, model_file):
     assert away < 1.1
 
 
+@pytest.mark.slow
 def test_a_ball_bounces_off_it(made, scene):
     """The bowl goes down, and up again under the ball, which must not fall through."""
     bpy.ops.rigidbody.world_add()

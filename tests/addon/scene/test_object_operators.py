@@ -174,6 +174,7 @@ def asset(what, **options):
 NOT_IN_4_2 = {"Transform > Shear", "Transform > Push/Pull", "Transform > To Sphere", "Transform > Bend", "Clean Up > Remove All Materials"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*MOVED, *KEPT])
 def test_what_operators_do_to_a_mesh_they_do_to_splats(splats, where, told, name):
     if bpy.app.version < (4, 3, 0) and name in NOT_IN_4_2:

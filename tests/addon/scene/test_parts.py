@@ -99,6 +99,7 @@ def retrained(fg, model, seed=0):
     return replace(out, position=out.position + rng.normal(0, 0.004, out.position.shape)), index
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("by_itself", [False, True], ids=["reload", "read again by itself before"])
 def test_parts_survive_a_retrained_file(fg, make_model, model_file, module, choose, by_itself, capfd):
     """By place and colour: two clouds that touch, one red and one green; what was erased stays erased."""

@@ -116,6 +116,7 @@ def own():
     return next(each.name for each in bpy.context.object.users_collection if each.name.startswith("Own"))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*MOVED, *KEPT])
 def test_what_operators_do_to_a_mesh_they_do_to_splats(splats, where, told, name):
     before, after = as_a_mesh(splats, where, (MOVED | KEPT)[name])
@@ -133,6 +134,7 @@ def test_what_newer_blenders_copy(splats, where, told, name):
     assert not told
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", TOLD)
 def test_modifiers_that_operators_add_are_told(splats, where, told, name):
     """The object goes where a mesh goes, and its splats keep their shape."""

@@ -71,6 +71,7 @@ def below_an_action(first, second, animation):
 CASES = [plain, scaled, backwards, blended, multiplied, subtracted, combined, muted, alone, below_an_action]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("change", CASES, ids=lambda case: case.__name__)
 def test_the_clip_has_run_as_far_as_the_strips_say(module, obj, scene, change):  # noqa: F811
     animation = obj.animation_data_create()

@@ -35,6 +35,7 @@ NGP = {"loop": True, "time": 0.0, "spline_order": 3, "duration_seconds": 2, "pat
     for i in range(3)]}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [module.name for module in FORMATS])
 def test_damaged_paths(name, tmp_path):
     file = tmp_path / "made"

@@ -81,6 +81,7 @@ def saved(path, file, name) -> str:
     return " ".join(str(w.message) for w in lost)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", NAMES)
 @given(seed=st.integers(0, 2**32 - 1), full=st.booleans(), level=st.booleans(), start=st.integers(-50, 100_001), fps=st.floats(1, 200),
        names=st.one_of(st.integers(1, 40), st.lists(CAMERA_NAMES, min_size=1, max_size=9, unique=True)))

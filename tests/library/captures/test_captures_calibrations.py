@@ -41,6 +41,7 @@ def films(folder, names=NAMES):
         RIG.write_video(folder / f"{name}.mp4", i, fps=50)
 
 
+@pytest.mark.slow
 def test_aniposelib_and_freemocap(tmp_path, tmp_path_factory):
     """The spots are where the cameras say; a calibration in millimetres becomes metres."""
     films(tmp_path)

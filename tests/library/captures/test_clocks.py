@@ -64,6 +64,7 @@ def test_a_genlocked_capture_stays_as_it_is(frames, tmp_path):
     assert max(map(abs, found.measured.values())) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late", [-2.75, -0.5, 0.3, 3.0])
 def test_fractions_are_found_or_called_unsure(late, tmp_path):
     found = find_offsets(open_capture(write_uneven(tmp_path, 24, 4, {"cam01": late}, zoom=3), offsets={}))

@@ -102,6 +102,7 @@ def test_all_cameras_changing_together_is_the_light(folder):
     assert "The light changes" in finding.sentence and len(finding.views) == 4
 
 
+@pytest.mark.slow
 def test_few_cameras_and_a_held_out_view_far_away(folder):
     """The check says beforehand that a view far from three cameras will be poor, and why, and shows what is seen from there."""
     report = check(write_room(folder / "few", 4, 3, spread=2.0, held_out=(3,), detail=1))
@@ -204,6 +205,7 @@ def test_cameras_that_training_cannot_find_are_wrong(tmp_path, rng):
     assert "where its cameras" in finding.sentence and "docs/captures.md" in finding.advice
 
 
+@pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     """The exit code tells, --json is the page's values, --status says how far the check is."""
     pytest.importorskip("pycolmap")

@@ -56,6 +56,7 @@ assert not {"numba", "OpenEXR", "PIL", "tqdm", "torch"} & set(sys.modules)
 HOSTILE = {"a\udcffb": "x\x1b]0;owned\x07\x1b[2J\ud800", "plain": "one\nfile   /etc/passwd\ttwo\r\x00", "é漢": "ü"}
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("encoding", ["utf-8", "ascii"])
 def test_what_a_file_says_cannot_command_the_terminal_or_break_its_encoding(model, tmp_path, encoding):
     model.provenance = HOSTILE
@@ -297,6 +298,7 @@ def test_what_a_file_could_not_give_is_a_remark(run, model, tmp_path):
     assert "1 of 30" in json.loads(run("convert", "--json", path, tmp_path / "b.safetensors")[1])["losses"][0]
 
 
+@pytest.mark.slow
 def test_convert_shows_how_far_it_is(run, file, tmp_path, few_pictures):
     code, out, told = run("convert", file, tmp_path / "small.safetensors", "--compress", "1")
     assert code == 0 and "small.safetensors: " in out and "compressing: 100/100 steps (100 %)" in told

@@ -59,6 +59,7 @@ OTHERS = itertools.cycle([(), ("--fit-colours", "on", "--layout", "fastgs"), ("-
 """Options that have no say in what a label is; each choice meets one of them."""
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("flag", "views", "frames", "more"), [(*choice, more) for choice, more in zip(CHOICES, OTHERS)])
 def test_labels_are_true_in_every_combination(measure, tmp_path, flag, views, frames, more):
     """Trained on cam01 and cam02, on the first two of four frames; with other options, the clock of cam01 is 0.4 frames ahead."""

@@ -56,6 +56,7 @@ def files(tmp_path_factory) -> dict[str, bytes]:
     return {name: (folder / name).read_bytes() for name in KINDS} | made_elsewhere(rng)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", [*KINDS, "m.ksplat", "v4.spz", "m.splats4d", "m.sog4d", "frames.sog4d", "m.tsog", "m.splat4d"])
 def test_no_memory_on_the_word_of_a_file(files, tmp_path, name):
     path, told = tmp_path / Path(name).name.removeprefix("packed."), 0

@@ -39,6 +39,7 @@ def psnr(a: fg.GaussianModel, b: fg.GaussianModel, t: float) -> float:
     return -10 * np.log10(max(np.mean((one - two) ** 2), 1e-12))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("basis", "rotation_basis", "temporal", "appearance"), [
     *((basis, "line", "radial", "rgb") for basis in BASES), ("cubic", "keys", "window", "sh3"), ("static", "static", "always", "sh4"),
     ("paper", "line", "radial-window", "sigmoid"), ("line", "cosine", "always", "changing sh1")])
@@ -64,6 +65,7 @@ def test_a_model_too_small_to_be_seen_is_read_again(tmp_path):
         assert len(fg.load(tmp_path / "m.safetensors")) <= 40
 
 
+@pytest.mark.slow
 def test_files_lose_what_they_may_and_are_smaller_for_it(tmp_path):
     model = random_model(np.random.default_rng(2), 2000, "paper", "line", "radial", "sh1", extent=2.0, size=0.04)
     judged = sensitivity.shots(model, 4, 1000)  # neither measured on nor searched on

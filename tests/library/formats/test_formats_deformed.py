@@ -229,6 +229,7 @@ def test_numbers_that_many_weights_share_are_not_multiplied(tmp_path, rng):
         fg.open_source(path)
 
 
+@pytest.mark.slow
 def test_mutated_weights(tmp_path, rng):
     _, path, _ = hexplane(tmp_path / "made", rng)
     files = {"point_cloud.ply": path.read_bytes(), "deformation.pth": path.with_name("deformation.pth").read_bytes()}

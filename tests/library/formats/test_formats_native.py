@@ -60,6 +60,7 @@ def rich(rng, make_model):
                       provenance={"trainer": "ein \"Test\"\n", "ключ": "值"})
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("appearance", APPEARANCES)
 @pytest.mark.parametrize("temporal", TEMPORALS)
 @pytest.mark.parametrize("basis", BASES)
@@ -83,6 +84,7 @@ def test_files_say_how_a_decoder_is_given_its_features_only_where_it_is_not_the_
         assert about(tmp_path / "m.safetensors")["model"]["appearance"].get("decode") == wanted
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("compress", ["fine", "small"])
 def test_compressed_files_say_it_too(rng, make_model, tmp_path, few_pictures, compress):
     with pytest.warns(fg.LossWarning):

@@ -280,6 +280,7 @@ HOSTILE = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", FORMATS)
 @pytest.mark.parametrize("case", HOSTILE)
 def test_hostile_headers_cost_one_sentence_and_no_memory(rng, load_bytes, kind, case):

@@ -102,6 +102,7 @@ def test_every_model_that_is_saved_is_loaded_again(tmp_path, few_pictures, exten
     assert any(accepted), "nothing was written, so the test shows nothing"
 
 
+@pytest.mark.slow
 @settings(max_examples=40)
 @pytest.mark.parametrize("extension", [".safetensors", ".ply"])
 @given(model=models(), t=st.floats(0, 1))

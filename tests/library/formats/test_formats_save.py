@@ -40,6 +40,7 @@ def listing(folder: Path) -> dict[str, bytes]:
     return {p.name: p.read_bytes() for p in folder.iterdir()}
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("quiet")
 @pytest.mark.parametrize("extension", EXTENSIONS)
 @pytest.mark.parametrize("appearance", ["rgb", "sh0", "sh2", "sigmoid"])

@@ -181,6 +181,7 @@ def test_comments_that_make_no_sense(rng, tmp_path, comment):
         fg.load(tmp_path / "m.ply")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("appearance", ["rgb", "sigmoid", "clamp", "none"])
 @pytest.mark.parametrize("temporal", ["always", "radial"])
 @pytest.mark.parametrize(("basis", "rotation"), [("cubic", "line"), ("line", "static"), ("paper", "line"), ("fourier", "line"),

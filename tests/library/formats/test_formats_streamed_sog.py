@@ -169,6 +169,7 @@ def test_mutated_files(tmp_path):
     assert min(told.values(), default=11) > 10
 
 
+@pytest.mark.slow
 def test_mutated_zips(tmp_path):
     with zipfile.ZipFile(tmp_path / "m.zip", "w") as archive:
         for name, content in files_of(np.random.default_rng(5)).items():

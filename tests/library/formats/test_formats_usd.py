@@ -133,6 +133,7 @@ def test_a_file_in_the_place_of_numbers_is_not_looked_for(pxr, tmp_path, typed):
         fg.load(tmp_path / "forged.usdc")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("extension", [".usda", ".usdc", ".usdz"])
 def test_mutated_files(tmp_path, extension):
     inner = extension.replace("usdz", "usdc")

@@ -183,6 +183,7 @@ def test_a_zip_with_one_model_is_that_model(folder, tmp_path):
     assert isinstance(model, fg.GaussianModel) and len(model) == COUNT
 
 
+@pytest.mark.slow
 def test_mutated_zips(tmp_path):
     small = write(tmp_path / "small", range(2), model=lambda i: frame(i).take(np.arange(3)))
     with zipfile.ZipFile(tmp_path / "small.zip", "w", zipfile.ZIP_DEFLATED) as archive:

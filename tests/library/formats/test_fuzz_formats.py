@@ -110,6 +110,7 @@ CAMPAIGNS = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", CAMPAIGNS)
 def test_mutations(valid, tmp_path, kind):
     seeds = {name: {"m": valid[name]} | ({"m.pt": valid["full.pt"]} if name == "full.ply" else {}) for name in CAMPAIGNS[kind]}
@@ -163,6 +164,7 @@ ATTACKS = {
 }
 
 
+@pytest.mark.slow
 def test_files_that_once_harmed_a_reader(tmp_path):
     told = mutations.attacks("models", read, {name: {"m": content} for name, content in ATTACKS.items()}, tmp_path)
     assert told == {"accepted": 1, "refused": len(ATTACKS) - 1}

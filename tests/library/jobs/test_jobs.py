@@ -71,6 +71,7 @@ def trains(known, job):
     return until(lambda: known.state(job).kind == 'TRAINING' and known.state(job).values["process"])
 
 
+@pytest.mark.slow
 def test_two_hundred_adds_give_two_hundred_jobs_in_order(make_jobs, tmp_path):
     known = make_jobs(clock=lambda: 1000.0)
     names = [add(known, tmp_path, f"{k:03}").name for k in range(200)]

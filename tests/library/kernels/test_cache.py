@@ -7,6 +7,7 @@ import pytest
 from fastgs_blender.kernels.cpu import cache, warm
 
 
+@pytest.mark.slow
 def test_the_cache_is_filled_when_compilation_came_to_its_end(tmp_path, monkeypatch):
     monkeypatch.setenv("FASTGS_CACHE_DIR", str(tmp_path))
     assert not cache.is_begun() and not cache.is_filled()

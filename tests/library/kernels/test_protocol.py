@@ -126,6 +126,7 @@ assert cli.main(["info", run]) == 0
 OPTIONS = ["--quiet", "--device", "cpu", "--iterations", "4", "--set", "densify_every=2", "--set", "densify_from=0"]
 
 
+@pytest.mark.slow
 def test_training_needs_no_torch_and_makes_the_same_model_without(tmp_path, monkeypatch):
     """Without torch: train, stop, resume, start from a model, measure, tell.  Where torch is imported, the same bytes come out."""
     monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")

@@ -108,6 +108,7 @@ def torus(n=48, m=24, large=0.7, small=0.3):
     return points, np.concatenate([np.stack([corner[0], corner[1], corner[2]], 1), np.stack([corner[0], corner[2], corner[3]], 1)])
 
 
+@pytest.mark.slow
 def test_the_volume_of_a_mesh_knows_inside_and_depth():
     points, triangles = torus()
     high = np.abs(points).max(0)

@@ -184,6 +184,7 @@ def test_what_is_hidden_stays_hidden_and_what_moves_moves_in_every_sample():
         assert np.abs(blurred["rgb"] - fg.render(left, CAMERA, 0.5, exposure=lens)["rgb"]).max() < 2e-3
 
 
+@pytest.mark.slow
 def test_edits_are_blurred_between_the_moments():
     """A still model that an edit moves through the open shutter is what a model that moves by itself is."""
     model = arm(2.0)

@@ -33,6 +33,7 @@ def test_two_strokes_select_a_thing(name):
         assert min(scenes.overlaps(scene.model, grow(scene.model, yes, against), scene, views=(3, 6), times=(0.1, 0.8))) >= 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball and box", "cloths", "lifted"])
 def test_a_click_is_enough(name):
     """Three Gaussians, and they with a stroke over the rest; however many Gaussians the thing has."""

@@ -49,6 +49,7 @@ def test_parts_of_several_models(model):
     assert len(fg.concatenate([plain, plain])) == 406 and not fg.concatenate([plain, plain]).parts.names
 
 
+@pytest.mark.slow
 def test_compressed_files_keep_parts(model, tmp_path):
     """Their Gaussians come in another order: a part that is a half of space stays one."""
     half = replace(model, parts=fg.Parts.of({"Left": model.position[:, 0] < 0.0}))

@@ -15,6 +15,7 @@ def graded_part(look, **options):
     return replace(model, features=graded(model.features, look_numbers(look, "srgb")))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("look", [
     fg.ObjectSettings(exposure=0.6), fg.ObjectSettings(exposure=-0.8, tint=(1.0, 0.9, 0.7)),
     fg.ObjectSettings(saturation=0.6, contrast=1.2),

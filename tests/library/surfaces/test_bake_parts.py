@@ -24,6 +24,7 @@ def test_exactly_as_many_as_asked_for(count, mesh):
     assert (samples.weights >= 0).all() and np.allclose(samples.weights.sum(1), 1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("cells", [1, 12, 70])
 def test_even_whatever_the_mesh(cells):
     """No two places nearer than half the spacing, no gap of 1.4 spacings, on coarse and fine meshes; random places have both."""

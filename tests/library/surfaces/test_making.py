@@ -29,6 +29,7 @@ def off(mesh, shape, t):
     return distances(made[::25], points[triangles]).mean() / size, distances(points[::17], faces).mean() / size
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("shape", [twisting, swimming, walking, waving])
 def test_one_topology_follows_all_frames_and_sub_frames(shape):
     mesh, = make(baked(shape), 0.25, detail=56)

@@ -181,6 +181,7 @@ class Files:
         return Pixels(look(shot.t, shot.camera))
 
 
+@pytest.mark.slow
 def test_few_cameras_and_small_pictures_give_points_too():
     """Four cameras show most places in pairs; features are looked for in the files' pictures, four times as large as these."""
     quarter = [replace(camera, width=SIZE[0] // 4, height=SIZE[1] // 4, fx=42.5, fy=42.5, cx=SIZE[0] / 8, cy=SIZE[1] / 8, window=None)

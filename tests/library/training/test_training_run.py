@@ -227,6 +227,7 @@ def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier, number):
     assert (out / "model.safetensors").read_bytes() == (finished[0] / "model.safetensors").read_bytes()
 
 
+@pytest.mark.slow
 def test_a_folder_in_training_is_locked(files, tmp_path, barrier, monkeypatch):
     """A second trainer is refused with a sentence, and touches nothing that the first has in the folder."""
     monkeypatch.setattr(folder, "PATIENCE", 0.0)

@@ -243,6 +243,7 @@ def test_each_picture_is_read_once_for_its_step():
     assert len(read) == 11, "one of each step, and that of the next one"
 
 
+@pytest.mark.slow
 def test_correction_makes_the_held_out_view_better(uneven):
     with_it, without = uneven
     shots = with_it.capture.held_out

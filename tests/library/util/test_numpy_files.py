@@ -62,6 +62,7 @@ def lzma() -> bytes:
     return stream.getvalue()
 
 
+@pytest.mark.slow
 def test_files_that_take_more_than_they_hold(tmp_path):
     seeds = {
         "unpacks to 0.8 GB": {"a.npz": npz(data=np.zeros(10**8))}, "claims an exabyte": {"a.npy": claiming("1000000, 1000000, 1000000")},

@@ -37,6 +37,7 @@ def ended(command, number, place, tmp_path):
     return done.returncode, done.stderr
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("number", stopping.SIGNALS)
 @pytest.mark.parametrize("place", ["numpy", "fastgs_blender.commands.render", "fastgs_blender.cli", "numba"])
 def test_a_signal_while_modules_are_imported(number, place, tmp_path):

@@ -54,6 +54,7 @@ def read(path):
     return text, description, {name: base64.b64decode(found[name]) for name in description["parts"]}
 
 
+@pytest.mark.slow
 def test_a_saved_page_holds_the_model_and_its_opening_view(model, tmp_path):
     fg.save(model, tmp_path / "x.html")
     text, description, parts = read(tmp_path / "x.html")

@@ -229,6 +229,7 @@ def test_between_frames_places_turn_and_times_go_on(node):
     assert got["free"] == pytest.approx(0.55)
 
 
+@pytest.mark.slow
 def test_what_a_page_cannot_play_is_said(rng):
     model = random_model(rng, 20)
     assert library.cannot_play(model) is None

@@ -99,6 +99,7 @@ def test_shadows_and_a_holdout_alone_are_the_cpus(gpu, adapter):
     assert not found["alpha"].any() and found["holdout"][0, -1] != found["holdout"][-1, 0]
 
 
+@pytest.mark.slow
 def test_triangles_alone_leave_no_alpha_where_a_gpu_divides_roughly(fresh, monkeypatch):
     """NVIDIA's quotients are up to 2.5 units off in the last place; then depth = sum / alpha had values where nothing was."""
     source = shaders.source

@@ -242,6 +242,7 @@ def test_a_run_follows_the_cpus_and_goes_on_to_the_byte(gpu, adapter, monkeypatc
     assert all(np.array_equal(mine[key], other[key], equal_nan=True) for key in mine)
 
 
+@pytest.mark.slow
 def test_values_come_steps_later_and_nothing_waits_for_them(gpu, adapter, monkeypatch):
     """The same values and the same model as from steps that are waited for one by one, and from a run that is continued; cameras'
     exposures, clocks and poses are estimated meanwhile."""
