@@ -9,7 +9,7 @@ LTS := .venv313/bin/python
 help:
 	@echo "make demo          import the example model, move a camera around it and render it through Blender"
 	@echo "make test          style, library and add-on tests on Blender 5.0.1, without the slow ones"
-	@echo "make test-all      with the slow ones, and on Blender 5.2.3 too where Python 3.13 is found; CI runs these"
+	@echo "make test-all      with the slow ones, and on Blender 5.2.3 too where Python 3.13 is found"
 	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1, 5.2.3, and 5.3 once it is to be had"
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test-all"
@@ -37,7 +37,7 @@ demo: .venv/ready
 
 test: CHOSEN := -m "not slow"
 test: lint test-library test-addon test-site
-	@echo "Left out: tests that are marked slow, and Blender 5.2.3. make test-all runs them too, and so does CI."
+	@echo "Left out: tests that are marked slow, and Blender 5.2.3. make test-all runs them too."
 
 test-all: lint test-library test-addon test-lts test-site
 
