@@ -81,7 +81,7 @@ class Stage:
         self.geometry, self.attributes = projected.geometry, projected.attributes
         self.columns, self.rows = -(-camera.width // raster.TILE), -(-camera.height // raster.TILE)
         grid = (0, 0, self.columns, self.rows)
-        segments, counts = tile_lists.list_spans(self.order, self.geometry, self.attributes, grid)
+        segments, counts = tile_lists.list_spans(self.order, self.geometry, self.attributes, grid, raster.TILE)
         self.starts, self.ids = tile_lists.list_tiles(segments, counts, 0, counts.shape[1])
         self.out, self.alpha = np.zeros((*self.size, self.channels), np.float32), np.zeros(self.size, np.float32)
 

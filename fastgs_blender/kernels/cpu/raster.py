@@ -6,18 +6,17 @@ A pixel that is finished keeps its transmittance with the sign turned.
 """
 from __future__ import annotations
 
-import math
 from functools import cache
 
 import numpy as np
 from numba import float32
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from ...rendering.holdout import SAMPLES
 from ...rendering.layout import CORE, DEPTH_FROM, PROBES, REST
 from ...rendering.oracle import T_STOP
-from . import simd
+from . import groups, simd
 from .jit import inline, kernel
 from .occlusion import farthest, lose, losses
 
@@ -34,6 +33,8 @@ NOTHING = np.empty((0, PIXELS, SAMPLES), np.float32)
 """The depths of a picture without a holdout."""
 AHEAD = 8
 """How many splats ahead memory is asked for: a tile's splats lie all over it."""
+HELD = 10
+"""Channels that are held in registers while a splat is blended; of splats with more, the rest is read for each group of pixels."""
 SIZES = (3, 4, 6, 9, 10, 16, 24, 32, 64, 128, 256)
 """Numbers of channels for which code is made; others are padded to the next."""
 
@@ -51,74 +52,97 @@ def fade(alpha, log2_cut, band):
 
 def covering(builder, column, u, du, row) -> simd.Floats:
     """Alpha of a splat in eight pixels, 0 below the cut: log2(alpha) = row - (u + i du)^2; column: of its attributes, in every lane."""
-    u = simd.ramp(builder) * simd.broadcast(builder, du) + simd.broadcast(builder, u)
-    exponent = simd.broadcast(builder, row) - u * u
+    u = simd.ramp(builder) * du + u
+    exponent = row - u * u
     return exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
 
 
 @intrinsic(prefer_literal=True)
-def blend8(context, state, pixel, u, du, row, attributes, splat, place, band, z, dz, channels, core, end, probes, trace, smooth, hides):
-    """Blend one splat into the eight pixels from `pixel` on; u and row give log2(alpha) = row - (u + i du)^2.
+def blend(context, state, visited, lines, du, attributes, splat, place, band, surface, channels, core, end, probes, trace, smooth, hides):
+    """Blend one splat into its groups of pixels (groups.reached, which wrote lines); returns those whose pixels are all finished.
 
     channels, core, end, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  core, end: from which
     channel to which they are summed over the core (layout.py); probes: which of layout.PROBES are computed, a bit each; trace: remember
     `place` as that of the last splat blended; smooth: let alpha fade in over `band` above the cut; hides: the splat shows only where its
-    surface, z + i dz, lies before the depths in the last plane.
+    surface, of the depth (at the tile's first pixel, change in x, change in y), lies before the depths in the last plane.
     """
     if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, core, end, probes, trace, smooth, hides)):
         return None
     count, cored = channels.literal_value, range(core.literal_value, end.literal_value)
     number = types.float32
-    signature = types.void(
-        state, types.intp, number, number, number, attributes, types.intp, number, number, number, number, channels, core, end, probes,
-        trace, smooth, hides)
+    signature = types.uint32(
+        state, types.uint32, lines, number, attributes, types.intp, number, number, types.UniTuple(types.float64, 3), channels, core, end,
+        probes, trace, smooth, hides)
 
     def build(context, b, signature, args):
-        state, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5))
-        pixel = args[1]
-        first = b.mul(args[6], simd.ir.Constant(args[6].type, CHANNEL + count))
+        state, lines, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 2, 4))
+        whole = args[5].type
+        first = b.mul(args[5], whole(CHANNEL + count))
+        kept = {i: simd.broadcast(b, attributes.scalar(first, i)) for i in range(CHANNEL + min(count, HELD))}
+        du, place = simd.broadcast(b, args[3]), simd.broadcast(b, args[6])
+        finished = cgutils.alloca_once_value(b, groups.BITS(0))
 
         def column(i):
-            return simd.broadcast(b, attributes.scalar(first, i))
+            return kept[i] if i in kept else simd.broadcast(b, attributes.scalar(first, i))
 
-        alpha = covering(b, column, args[2], args[3], args[4])
-        if smooth.literal_value:
-            alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[8]))[0]
-        if hides.literal_value:
-            depth = simd.ramp(b) * simd.broadcast(b, args[10]) + simd.broadcast(b, args[9])
-            last = PIXELS * (1 + count + len(chosen(probes.literal_value)))
-            alpha = alpha.where(state.floats(pixel, last) >= depth, 0.0)
-        before = state.floats(pixel, 0)
-        weight = before * alpha
-        after = before - weight
-        live = after > T_STOP
-        weight = weight.where(live, 0.0)
-        state.store(pixel, 0, after.where(live, before.negative_magnitude()))
-        if cored:
-            inner = (before.min(CORE[1]) - after.max(CORE[0])).max(0.0).where(live, 0.0) + weight * REST
-        for c in range(count):
-            plane = PIXELS * (1 + c)
-            state.store(pixel, plane, state.floats(pixel, plane) + (inner if c in cored else weight) * column(CHANNEL + c))
-        if trace.literal_value:
+        with groups.each(b, args[1]) as (group, bit):
+            pixel = b.mul(group, whole(simd.LANES))
+            u, row = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
+            alpha = covering(b, column, u, du, row)
+            if smooth.literal_value:
+                alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[7]))[0]
+            if hides.literal_value:
+                last = PIXELS * (1 + count + len(chosen(probes.literal_value)))
+                alpha = alpha.where(state.floats(pixel, last) >= _depths(b, cgutils.unpack_tuple(b, args[8], 3), pixel), 0.0)
+            before = state.floats(pixel, 0)
+            weight = before * alpha
+            after = before - weight
+            live = after > T_STOP
+            weight = weight.where(live, 0.0)
+            state.store(pixel, 0, after.where(live, before.negative_magnitude()))
+            over = b.zext(b.not_(simd.any_of(b, live)), groups.BITS)
+            b.store(b.or_(b.load(finished), b.shl(over, bit)), finished)
+            if cored:
+                inner = (before.min(CORE[1]) - after.max(CORE[0])).max(0.0).where(live, 0.0) + weight * REST
+            for c in range(count):
+                plane = PIXELS * (1 + c)
+                state.store(pixel, plane, state.floats(pixel, plane) + (inner if c in cored else weight) * column(CHANNEL + c))
             plane = PIXELS * (1 + count)
-            state.store(pixel, plane, simd.broadcast(b, args[7]).where(weight > 0.0, state.floats(pixel, plane)))
-        plane = PIXELS * (1 + count)
-        for name in chosen(probes.literal_value):
-            old, drawn = state.floats(pixel, plane), weight > 0.0
-            if name == "count":
-                new = (old + 1.0).where(drawn, old)
-            else:
-                new = column(DEPTH).where(b.and_(drawn, before > DEPTH_FROM[name]), old)
-            state.store(pixel, plane, new)
-            plane += PIXELS
-        return context.get_dummy_value()
+            if trace.literal_value:
+                state.store(pixel, plane, place.where(weight > 0.0, state.floats(pixel, plane)))
+            for name in chosen(probes.literal_value):
+                old, drawn = state.floats(pixel, plane), weight > 0.0
+                if name == "count":
+                    new = (old + 1.0).where(drawn, old)
+                else:
+                    new = column(DEPTH).where(b.and_(drawn, before > DEPTH_FROM[name]), old)
+                state.store(pixel, plane, new)
+                plane += PIXELS
+        return b.load(finished)
 
     return signature, build
+
+
+def _depths(builder, surface, pixel):
+    """The depths in float32 of a surface (at pixel 0, change in x, change in y: float64) at the eight pixels from `pixel` on."""
+    z, dx, dy = surface
+    x, y = (builder.sitofp(part, z.type) for part in (builder.and_(pixel, pixel.type(TILE - 1)), builder.lshr(pixel, pixel.type(4))))
+    z = builder.fadd(z, builder.fadd(builder.fmul(dx, x), builder.fmul(dy, y)))
+    z, dx = (simd.broadcast(builder, builder.fptrunc(part, simd.ir.FloatType())) for part in (z, dx))
+    return simd.ramp(builder) * dx + z
 
 
 def chosen(bits: int) -> list[str]:
     """The probes of a set that is given as bits, in their order."""
     return [name for i, name in enumerate(PROBES) if bits >> i & 1]
+
+
+@inline
+def line(geometry, i, left, top):
+    """u and v of a splat at the first pixel of the tile at (left, top), and their slopes (du/dx, du/dy, dv/dy); see groups.reached."""
+    # in float64 up to the tile's corner, so that splats far off the screen keep their precision
+    x, y, a, b, c = geometry[i, MEAN_X] - left - 0.5, geometry[i, MEAN_Y] - top - 0.5, geometry[i, L11], geometry[i, L21], geometry[i, L22]
+    return float32(-a * x - b * y), float32(-c * y), (float32(a), float32(b), float32(c))
 
 
 @inline
@@ -160,7 +184,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
     """
     assert not (trace and (probes or plane is not None))
     trace, smooth, band, hides = int(trace), int(band > 0), float(band), int(plane is not None)
-    surface, (core, end) = CHANNEL + (plane or 0), core
+    plane_at, (core, end) = CHANNEL + (plane or 0), core
     bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
     planes = 1 + channels + (number or trace) + hides
     limit = PIXELS * (planes - 1)
@@ -175,7 +199,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
         blended, or -1.  hiding: of a holdout, the depths of the tiles first..last (holdout.Occluder), or NOTHING; held [h, 2 w]: the light
         that it stops, and beside it which share of the pixel it covers; middle_x, middle_y: of the image, where planes begin.
         """
-        state = np.empty(planes * PIXELS, np.float32)
+        state, lines = np.empty(planes * PIXELS, np.float32), np.empty(groups.LINES, np.float32)
         left_over, stopped = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32)
         when, where = np.empty(0, np.int64), np.empty(0, np.int64)
         for tile in range(first, last):
@@ -185,8 +209,8 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                 state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
-            blended, event, upcoming = 0, 0, -1
-            z, dz = float32(0.0), float32(0.0)
+            event, upcoming, live = 0, -1, np.uint32(groups.ALL)
+            surface = 0.0, 0.0, 0.0
             if hides:
                 state[limit:] = float32(np.inf)
                 left_over[:], stopped[:] = SAMPLES, float32(0.0)
@@ -204,35 +228,15 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
                 ahead = np.intp(ids[min(k + AHEAD, starts[tile + 1] - 1)])
                 simd.prefetch(geometry, ahead)
                 simd.prefetch(attributes, ahead)
-                # in float64 up to the tile's corner, so that splats far off the screen keep their precision
-                mx, my = geometry[i, MEAN_X] - left - 0.5, geometry[i, MEAN_Y] - top - 0.5
-                rx, ry = attributes[i, RADIUS_X], attributes[i, RADIUS_Y]
-                xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
-                yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
-                if not (xl <= xh and yl <= yh):
-                    continue
-                a, b, c = float32(geometry[i, L11]), float32(geometry[i, L21]), float32(geometry[i, L22])
-                u0 = float32(-geometry[i, L11] * mx - geometry[i, L21] * my)
-                v0 = float32(-geometry[i, L22] * my)
-                for y in range(int(yl), int(yh) + 1):
-                    v = v0 + c * float32(y)
-                    row = attributes[i, LOG2_OPACITY] - v * v
-                    u = u0 + b * float32(y)
-                    for half in range(int(xl) // simd.LANES, int(xh) // simd.LANES + 1):
-                        x = half * simd.LANES
-                        if hides:
-                            dz = attributes[i, surface + 1]
-                            z = float32(attributes[i, surface] + dz * (left + x + 0.5 - middle_x)
-                                        + attributes[i, surface + 2] * (top + y + 0.5 - middle_y))
-                        blend8(state, y * TILE + x, u + a * float32(x), a, row, attributes, i, float32(k - starts[tile]), float32(band),
-                               z, dz, channels, core, end, bits, trace, smooth, hides)
-                blended += 1
-                if blended % TILE == 0:
-                    front = state[0]
-                    for p in range(1, PIXELS):
-                        front = state[p] if state[p] > front else front
-                    if front <= 0.0:
-                        break
+                u, v, slopes = line(geometry, i, left, top)
+                if hides:
+                    dx, dy = np.float64(attributes[i, plane_at + 1]), np.float64(attributes[i, plane_at + 2])
+                    surface = attributes[i, plane_at] + dx * (left + 0.5 - middle_x) + dy * (top + 0.5 - middle_y), dx, dy
+                reached = groups.reached(lines, u, v, slopes, attributes[i, LOG2_OPACITY], attributes[i, LOG2_CUT])
+                live &= ~blend(state, reached & live, lines, slopes[0], attributes, i, float32(k - starts[tile]), float32(band), surface,
+                               channels, core, end, bits, trace, smooth, hides)
+                if live == 0:
+                    break
             if hides:
                 for k in range(event, len(when)):
                     lose(state, left_over, stopped, where[k])

@@ -19,7 +19,7 @@ from numba import float32
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from . import raster, simd
+from . import groups, raster, simd
 from .jit import kernel
 
 TILE, PIXELS = raster.TILE, raster.PIXELS
@@ -38,29 +38,27 @@ def columns(channels: int) -> int:
 
 
 @intrinsic(prefer_literal=True)
-def gather_splat(context, state, box, place, line, slopes, attributes, splat, band, rows, entry, channels, smooth):
-    """One splat over its pixels of a tile: take it off their state and write its sums into rows[entry].
+def gather_splat(context, state, visited, place, lines, centre, slopes, attributes, splat, band, rows, entry, channels, smooth):
+    """One splat over its groups of pixels (groups.reached, which wrote lines): take it off their state and write its sums into rows[entry].
 
-    box      (first and last half row, first and last row)
     place    the splat's place in the tile's list
-    line     (u, v, dx, dy) at the tile's first pixel
+    centre   (v, dx, dy) at the tile's first pixel
     slopes   (du/dx, du/dy, dv/dy)
     channels and smooth (0 or 1) are constants of the kernel.
     """
     if not isinstance(channels, types.IntegerLiteral) or not isinstance(smooth, types.IntegerLiteral):
         return None
     count = channels.literal_value
-    signature = types.void(state, types.UniTuple(types.intp, 4), types.float32, types.UniTuple(types.float32, 4),
-                           types.UniTuple(types.float32, 3), attributes, types.intp, types.float32, rows, types.intp, channels, smooth)
+    signature = types.void(state, types.uint32, types.float32, lines, types.UniTuple(types.float32, 3), types.UniTuple(types.float32, 3),
+                           attributes, types.intp, types.float32, rows, types.intp, channels, smooth)
 
     def build(context, b, signature, args):
-        state, attributes, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 5, 8))
-        half0, half1, row0, row1 = cgutils.unpack_tuple(b, args[1], 4)
+        state, lines, attributes, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 3, 6, 9))
         place = simd.broadcast(b, args[2])
-        u0, v0, dx0, dy0 = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[3], 4))
-        u_x, u_y, v_y = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[4], 3))
-        whole = args[6].type
-        first = b.mul(args[6], whole(raster.CHANNEL + count))
+        v0, dx0, dy0 = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[4], 3))
+        u_x, u_y, v_y = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[5], 3))
+        whole = args[7].type
+        first = b.mul(args[7], whole(raster.CHANNEL + count))
 
         def column(i):
             return simd.broadcast(b, attributes.scalar(first, i))
@@ -68,51 +66,47 @@ def gather_splat(context, state, box, place, line, slopes, attributes, splat, ba
         def number(index):
             return simd.broadcast(b, b.sitofp(index, simd.ir.FloatType()))
 
-        opacity, highest, cut = column(raster.LOG2_OPACITY), column(raster.ALPHA_MAX), column(raster.LOG2_CUT)
+        highest, cut = column(raster.ALPHA_MAX), column(raster.LOG2_CUT)
         colour = [column(raster.CHANNEL + c) for c in range(count)]
         sums = [simd.Sum(b) for _ in range(CHANNEL + count)]
-        one = whole(1)
-        with cgutils.for_range_slice(b, row0, b.add(row1, one), one) as (y, _):
-            yf = number(y)
-            v, dy = v_y * yf + v0, yf + dy0
-            row, u_row = opacity - v * v, u_y * yf + u0
-            line = b.mul(y, whole(TILE))
-            with cgutils.for_range_slice(b, half0, b.add(half1, one), one) as (half, _):
-                x = b.mul(half, whole(simd.LANES))
-                pixel, xf = b.add(line, x), simd.ramp(b) + number(x)
-                u, dx = simd.ramp(b) * u_x + (u_x * number(x) + u_row), xf + dx0  # rounded as in raster.py
-                exponent = row - u * u
-                free = exponent.exp2()
-                clamped = free.min(highest)
-                drawn = b.and_(exponent >= cut, state.floats(pixel, LAST * PIXELS) >= place)
-                with b.if_then(simd.any_of(b, drawn)):
-                    alpha = slope = clamped.where(drawn, 0.0)
-                    if smooth.literal_value:
-                        factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[7]))
-                        alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
-                    left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
-                    state.store(pixel, LEFT * PIXELS, left)
-                    gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
-                    dot = gradient[count]
-                    for g, c in zip(gradient, colour):
-                        dot = dot + g * c
-                    behind = state.floats(pixel, BEHIND * PIXELS)
-                    more = dot - behind
-                    state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
-                    weight = alpha * left
-                    for c in range(count):
-                        sums[CHANNEL + c].add(weight * gradient[c])
-                    e = (slope * left * more).where(free < highest, 0.0)
-                    eu, ey = e * u, e * dy
-                    sums[E].add(e)
-                    sums[EU].add(eu)
-                    sums[EU_X].add(eu * dx)
-                    sums[EU_Y].add(eu * dy)
-                    sums[E_Y].add(ey)
-                    sums[E_YY].add(ey * dy)
-                    sums[ABS_X].add(eu.magnitude())
-                    sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude())
-        begin, width = b.mul(args[9], whole(columns(count))), columns(count)
+        with groups.each(b, args[1]) as (group, _):
+            u_row, row = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
+            pixel = b.mul(group, whole(simd.LANES))
+            y, x = number(b.lshr(group, whole(1))), number(b.and_(pixel, whole(TILE - 1)))
+            v, dy = v_y * y + v0, y + dy0
+            u, dx = simd.ramp(b) * u_x + u_row, simd.ramp(b) + x + dx0  # rounded as in raster.py
+            exponent = row - u * u
+            free = exponent.exp2()
+            clamped = free.min(highest)
+            drawn = b.and_(exponent >= cut, state.floats(pixel, LAST * PIXELS) >= place)
+            with b.if_then(simd.any_of(b, drawn)):
+                alpha = slope = clamped.where(drawn, 0.0)
+                if smooth.literal_value:
+                    factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[8]))
+                    alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
+                left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
+                state.store(pixel, LEFT * PIXELS, left)
+                gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
+                dot = gradient[count]
+                for g, c in zip(gradient, colour):
+                    dot = dot + g * c
+                behind = state.floats(pixel, BEHIND * PIXELS)
+                more = dot - behind
+                state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
+                weight = alpha * left
+                for c in range(count):
+                    sums[CHANNEL + c].add(weight * gradient[c])
+                e = (slope * left * more).where(free < highest, 0.0)
+                eu, ey = e * u, e * dy
+                sums[E].add(e)
+                sums[EU].add(eu)
+                sums[EU_X].add(eu * dx)
+                sums[EU_Y].add(eu * dy)
+                sums[E_Y].add(ey)
+                sums[E_YY].add(ey * dy)
+                sums[ABS_X].add(eu.magnitude())
+                sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude())
+        begin, width = b.mul(args[10], whole(columns(count))), columns(count)
         values = [s.value() for s in sums] + [simd.constant(b, 0.0)] * (width - len(sums))
         for i in range(0, width, simd.LANES):
             rows.store(begin, i, simd.totals(b, values[i:i + simd.LANES]))
@@ -135,7 +129,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
         rows [entries, columns()]: the sums of each entry of ids, written for each tile's first ends[tile] entries; the others'
         splats lie behind all that the tile shows.
         """
-        state = np.empty(planes * PIXELS, np.float32)
+        state, lines = np.empty(planes * PIXELS, np.float32), np.empty(groups.LINES, np.float32)
         for tile in range(first, last):
             left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
             state[:PIXELS] = float32(1.0)
@@ -158,18 +152,11 @@ def rasteriser_backward(channels: int, band: float = 0.0):
                 ahead = np.intp(ids[max(k - AHEAD, starts[tile])])
                 simd.prefetch(geometry, ahead)
                 simd.prefetch(attributes, ahead)
-                mx, my = geometry[i, raster.MEAN_X] - left - 0.5, geometry[i, raster.MEAN_Y] - top - 0.5
-                rx, ry = attributes[i, raster.RADIUS_X], attributes[i, raster.RADIUS_Y]
-                xl, xh = max(0.0, math.ceil(mx - rx)), min(TILE - 1.0, math.floor(mx + rx))
-                yl, yh = max(0.0, math.ceil(my - ry)), min(TILE - 1.0, math.floor(my + ry))
-                if not (xl <= xh and yl <= yh):
-                    rows[k] = float32(0.0)
-                    continue
-                u0 = float32(-geometry[i, raster.L11] * mx - geometry[i, raster.L21] * my)
-                v0 = float32(-geometry[i, raster.L22] * my)
-                slopes = (float32(geometry[i, raster.L11]), float32(geometry[i, raster.L21]), float32(geometry[i, raster.L22]))
-                gather_splat(state, (int(xl) // simd.LANES, int(xh) // simd.LANES, int(yl), int(yh)), float32(k - starts[tile]),
-                             (u0, v0, float32(-mx), float32(-my)), slopes, attributes, i, float32(band), rows, k, channels, smooth)
+                u, v, slopes = raster.line(geometry, i, left, top)
+                reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT])
+                centre = v, float32(left + 0.5 - geometry[i, raster.MEAN_X]), float32(top + 0.5 - geometry[i, raster.MEAN_Y])
+                place = float32(k - starts[tile])
+                gather_splat(state, reached, place, lines, centre, slopes, attributes, i, float32(band), rows, k, channels, smooth)
 
     return kernel(rasterise_backward)
 

@@ -37,7 +37,7 @@ def alpha8(context, target, u, du, row, attributes, first):
     def build(context, b, signature, args):
         target, attributes = (simd.Memory(context, b, signature.args[k], args[k]) for k in (0, 4))
         target.store(simd.ir.Constant(args[5].type, 0), 0, covering(
-            b, lambda c: simd.broadcast(b, attributes.scalar(args[5], c)), args[1], args[2], args[3]))
+            b, lambda c: simd.broadcast(b, attributes.scalar(args[5], c)), *(simd.broadcast(b, args[i]) for i in (1, 2, 3))))
         return context.get_dummy_value()
 
     return signature, build
@@ -79,7 +79,7 @@ def _hide(p, z, canvas):
 
 @inline
 def _settle(p, bound, waiting, hides, canvas):
-    """Blend the splats that wait at a pixel up to a depth.  The equations are those of raster.blend8(), for one pixel: its neighbours
+    """Blend the splats that wait at a pixel up to a depth.  The equations are those of raster.blend(), for one pixel: its neighbours
     blend other splats."""
     head, tail, near, alphas, who = waiting
     state, attributes, channels, core, end, probes, _, _, _, _ = canvas

@@ -90,9 +90,14 @@ def constant(builder, number) -> Floats:
     return Floats(builder, ir.Constant(FLOATS, [float(number)] * LANES))
 
 
+def numbers(builder, values) -> Floats:
+    """Eight given numbers."""
+    return Floats(builder, ir.Constant(FLOATS, [float(value) for value in values]))
+
+
 def ramp(builder) -> Floats:
     """0, 1, ... 7."""
-    return Floats(builder, ir.Constant(FLOATS, [float(i) for i in range(LANES)]))
+    return numbers(builder, range(LANES))
 
 
 def any_of(builder, mask):
