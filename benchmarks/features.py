@@ -40,7 +40,11 @@ from fastgs_blender.rendering.shadow import Light, Shadow  # noqa: E402
 def sheet(columns: int = 80, rows: int = 45) -> np.ndarray:
     """The triangles of a wavy sheet in the middle of the scene, before a half of the picture."""
     u, v = np.meshgrid(np.linspace(-1, 1, columns + 1), np.linspace(-1, 1, rows + 1))
-    points = np.stack([2.4 * u, 1.3 * v, 6 + 0.4 * np.sin(7 * u) * np.cos(5 * v)], -1)
+    return faces(np.stack([2.4 * u, 1.3 * v, 6 + 0.4 * np.sin(7 * u) * np.cos(5 * v)], -1))
+
+
+def faces(points: np.ndarray) -> np.ndarray:
+    """The triangles [F, 3, 3] of a grid of points [rows, columns, 3]."""
     a, b, c, d = points[:-1, :-1], points[:-1, 1:], points[1:, :-1], points[1:, 1:]
     return np.concatenate([np.stack(corners, 2).reshape(-1, 3, 3) for corners in ((a, b, c), (b, d, c))]).astype(np.float32)
 

@@ -24,6 +24,7 @@ from .layout import PROBES, Layout
 from .panorama import render_panorama
 from .passes import DEFAULTS, PASSES, SHADOWS, Blended, PassSettings
 from .quantities import shares
+from .shadow_edges import sharpened
 
 AT_ONCE = 16
 """Objects whose shares of the pixels are computed with one list of splats: each takes a number of every splat."""
@@ -99,12 +100,13 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
         instances = [each.viewed(camera) for each in lit]
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
+    sharpen = partial(sharpened, instances=instances, camera=camera, settings=settings, backend=kernels, holdout=holdout, exposure=exposure)
     if drawn and sharp:
         middle = (instances, camera, holdout) if exposure is None else exposure.middle(instances, camera, holdout)
-        blended = _blended(kernels, *middle[:2], needs, progress, settings, middle[2])
+        blended = sharpen(_blended(kernels, *middle[:2], needs, progress, settings, middle[2]), averaged=False)
     if drawn and exposure is not None and len(sharp) < len(entries):
         needs = {part for entry in entries if entry not in sharp for part in entry.needs}
-        blurred = _exposed(kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel)
+        blurred = sharpen(_exposed(kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel), averaged=True)
     out = {}
     for entry in entries:
         source = blended if entry in sharp else blurred

@@ -157,6 +157,7 @@ class Instance:
     rows       which of the origin's Gaussians, [len(model)]; None: all, in their order
     surface    triangles [F, 3, 3] of the object's surface in the world, whose normals its Gaussians take; None: they have their own
     shading    what the scene's light does to its Gaussians, for passes (shading.Shading), or None
+    taken      what meshes take from the light of its Gaussians (shadow_edges.Taken), or None
     painted    whether the model's colours are not its origin's: they hold on all of an exposure
 
     Raises FastGSError where the placement or the time is not finite.
@@ -176,6 +177,7 @@ class Instance:
     rows: np.ndarray | None = None
     surface: np.ndarray | None = None
     shading: Any = None
+    taken: Any = None
     painted: bool = False
 
     def __post_init__(self) -> None:

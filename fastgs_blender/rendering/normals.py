@@ -45,11 +45,16 @@ def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -
     if len(instance.hidden):
         weight = weight * ~instance.hidden[index]
     weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)
-    reach = REACH * float(np.median(np.exp(instance.model.scale.max(1))))
+    reach = REACH * float(np.median(np.exp(_longest(instance.model.scale))))
     found = backend.thinnest(shown.position, spread, weight, reach, rows)
     world = shown.world if rows is None else shown.world[rows]
     normal = shown.as_normals(found, world)
     return normal if instance.surface is None else _of_surface(instance.surface, world, normal)
+
+
+def _longest(scale: np.ndarray) -> np.ndarray:
+    """The largest of three numbers [N, 3] each: NumPy takes ten times as long over short rows."""
+    return np.maximum(np.maximum(scale[:, 0], scale[:, 1]), scale[:, 2])
 
 
 def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:

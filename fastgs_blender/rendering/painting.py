@@ -1,15 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colours of an instance's Gaussians as its camera sees them, and the instance with other ones."""
+"""The colours of an instance's Gaussians as its camera sees them, and the features with which they have other ones."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
-from ..model.appearance import SH, SH_C0, Features, decode, features_at, momentary
+from ..model.appearance import SH, SH_C0, Appearance, Features, decode, features_at, momentary
 from ..model.slicing import positions_at
 from .colour import linear_to_srgb, srgb_to_linear
-from .instances import Instance, ViewedInstance
+from .instances import ViewedInstance
 
 
 def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
@@ -25,22 +26,25 @@ def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray
     return features, look.seen(features, ray)
 
 
-def painted(instance: Instance, viewed: ViewedInstance, index: np.ndarray, gain: np.ndarray, places: np.ndarray) -> Instance:
-    """The instance with the colours of its Gaussians `index`, at places [M, 3] in the model's space, times gains [M, 3], scene linear, as a
-    camera sees them."""
-    model, look = viewed.model, momentary(viewed.model.appearance)
-    features, colour = seen_colours(viewed, index, places)
+def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndarray],
+            places: np.ndarray) -> tuple[Appearance, list[np.ndarray]]:
+    """The features [M, F] with which the Gaussians `index` of an instance, at places [M, 3] in the model's space, have their colours times
+    gains [M, 3], scene linear, as its camera sees them: one for each of the gains; and what makes colours of them."""
+    model, look = instance.model, momentary(instance.model.appearance)
+    features, colour = seen_colours(instance, index, places)
     unit, before = 1.0, colour
     if isinstance(look, Features):
         look = replace(look, activation="none")
         now = _now(features, instance.t - model.mu_tau[index].astype(np.float64))
-        before = decode(now, viewed.camera_to_model[:3, 3], _rays(viewed, index, places), look)
+        before = decode(now, instance.camera_to_model[:3, 3], _rays(instance, index, places), look)
     else:
         unit = SH_C0 if isinstance(look, SH) else 1.0
-    features[:, :3] += (_times(colour, gain, model.colour_space) - before) / unit
-    every = np.zeros((len(model), features.shape[1]), np.float32)
-    every[index] = features
-    return replace(instance, model=replace(model, features=every, appearance=look), origin=instance.source, painted=True)
+    linear, out = colour if model.colour_space == "linear" else srgb_to_linear(np.maximum(colour, 0)), []
+    for gain in gains:
+        seen = linear * gain
+        out.append(features.astype(np.float32))
+        out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / unit
+    return look, out
 
 
 def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:
@@ -55,7 +59,3 @@ def _now(features: np.ndarray, age: np.ndarray) -> np.ndarray:
     now[:, 6:9] *= age[:, None]
     return now
 
-
-def _times(colour: np.ndarray, gain: np.ndarray, space: str) -> np.ndarray:
-    """Colours [M, 3] of a colour space times scene-linear gains [M, 3]."""
-    return colour * gain if space == "linear" else linear_to_srgb(srgb_to_linear(np.maximum(colour, 0)) * gain)

@@ -31,7 +31,8 @@ from .lamps import Lamp
 from .normals import smooth_normals
 from .painting import painted
 from .quantities import Shown
-from .shading import shading_of
+from .shading import shading_of, shares_of
+from .shadow_edges import Taken, on_edge
 from .unlit import captured_light
 from .ways import Side, Ways
 
@@ -87,24 +88,19 @@ class SceneLight:
         casting = [each for each in instances if len(each.model) and each.settings.casts]
         arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
+        drops = bool((arriving[:, 1] < arriving[:, 0]).any())
         for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=3)):
-            settings = instances[number].settings
-            if settings.takes_light:
-                bare, meshes, all_ = light.sum(0)
-                past = np.divide(meshes, bare, out=np.ones_like(bare), where=bare > 1e-12)
-                captured = settings.captured_light * (1 - settings.shadows * (1 - past))
-                lamps = settings.lamp_light / np.pi * (bare - settings.shadows * (bare - all_))
-                gain = (captured + lamps * surface.unlit(settings.unlit, backend).T).T
-                out[number] = painted(instances[number], surface.instance, surface.index, gain, surface.local)
+            if instances[number].settings.takes_light or drops:
+                out[number] = _lit(instances[number], surface, light, drops, backend)
             if passes:
                 near = contact(self.meshes, surface.position.T, surface.normal.T, self.reach, self.bias, backend)
                 out[number] = replace(out[number], shading=shading_of(len(instances[number].model), surface.index, light, near))
         return out
 
     def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
-        """The irradiance of the spots, by the lamps' levels [L, 3, 3, P], by channel: with nothing in the way, with meshes, with meshes and
-        splats."""
-        total = np.zeros((max(self.levels, default=-1) + 1, 3, 3, len(spots)))
+        """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
+        splats, with splats."""
+        total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
         ways = Ways(backend, casting, self.meshes)
         for number, (lamp, lights) in enumerate(self.lamps):
             count, among = len(lamp.light.points), spots.among(lights)
@@ -112,9 +108,9 @@ class SceneLight:
             rows = np.flatnonzero(shares.any(0))
             shares, lit = shares[:, rows], spots.part(rows)
             sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
-            sums = np.zeros((3, 3, len(rows)))
+            sums = np.zeros((4, 3, len(rows)))
             for k, share in enumerate(shares):
-                past = np.stack([share] * 3)
+                past = np.stack([share] * 4)
                 for side, part in sides:
                     past[1:, side.rows] *= self._through(ways, lamp, k, side, part)
                 sums += past[:, None] * lamp.colour[k][:, None]
@@ -122,14 +118,14 @@ class SceneLight:
             total[self.levels[number]][..., rows] += sums
         return total
 
-    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray]:
-        """Which share of the light of a lamp's point comes past the meshes, and past all, to a side's spots: [M] each."""
+    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Which share of the light of a lamp's point comes past the meshes, past all, and past the splats to a side's spots: [M] each."""
         light, part = lamp.light, np.abs(lamp.colour).sum(1)
         share = part[number] / max(part.sum(), 1e-30)
         towards = light.points[number][:, None] - (0 if light.parallel else spots.position)
         over, size = self.bias + REACH * spots.thickness(towards), max(int(self.size * min(share**0.25, 1)), 64)
         meshes, splats = ways.past(light, number, side, spots.spread(number, share), size, self.bias, over)
-        return meshes, meshes * splats
+        return meshes, meshes * splats, splats
 
 
 @dataclass(frozen=True, eq=False)
@@ -192,6 +188,32 @@ class _Spots:
         radius, turn = np.sqrt(k / PLASTIC % 1), 2 * np.pi * (k / PLASTIC**2 % 1)
         u, v = ((radius * side(turn))[:, None, None] for side in (np.cos, np.sin))
         return self.position + u * self._wide[:, 0] + v * self._wide[:, 1]
+
+
+def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, backend: Any) -> Instance:
+    """An instance with the colours that its surface has in a light [L, 4, 3, M] (SceneLight._arriving), if it takes light; drops: whether
+    meshes throw shadows."""
+    settings = instance.settings
+    bare, meshes, all_, splats = light.sum(0)
+    most, captured, shadows = np.maximum(bare, 1e-12), settings.captured_light, settings.shadows
+    past = np.where(bare > 1e-12, meshes / most, 1)
+    lamps = settings.lamp_light / np.pi * surface.unlit(settings.unlit, backend).T
+    free = captured + lamps * (bare - shadows * (bare - splats))
+    gain = captured * (1 - shadows * (1 - past)) + lamps * (bare - shadows * (bare - all_))
+    out, part = instance, instance.part(surface.index) if drops else None
+    if settings.takes_light:
+        look, (features, *bright) = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
+        every = np.zeros((len(instance.model), features.shape[1]), np.float32)
+        every[surface.index] = features
+        out = replace(instance, model=replace(instance.model, features=every, appearance=look), origin=instance.source, painted=True)
+        if part:
+            part = replace(part, model=replace(part.model, features=bright[0], appearance=look), painted=True)
+    if not part:
+        return out
+    of_meshes, of_splats = (shares_of(light[:, 0], light[:, stage]) for stage in (1, 3))
+    takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
+    numbers = np.concatenate([takes, of_meshes[:, None], of_splats[:, None]], 1).T.astype(np.float32)
+    return replace(out, taken=Taken(part, numbers, surface.normal.T, np.flatnonzero(on_edge(of_meshes).any(0))))
 
 
 class _Surface:

@@ -37,14 +37,20 @@ def shading_of(count: int, index: np.ndarray, arriving: np.ndarray, contact: np.
     """The Shading of an instance of `count` Gaussians.
 
     index     [M] those that are shown
-    arriving  [L, 3, 3, M] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with meshes and splats
+    arriving  [L, 4, 3, M] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with both, with splats
     """
-    bare = arriving[:, 0].mean(1)
-    out = Shading(np.zeros((len(bare), count, 3)), *np.ones((2, len(bare), count)), np.ones(count))
+    lamps = len(arriving)
+    out = Shading(np.zeros((lamps, count, 3)), *np.ones((2, lamps, count)), np.ones(count))
     out.lights[:, index], out.contact[index] = arriving[:, 0].transpose(0, 2, 1) / np.pi, contact
     for shares, stage in ((out.meshes, 1), (out.both, 2)):
-        shares[:, index] = np.divide(arriving[:, stage].mean(1), bare, out=np.ones_like(bare), where=bare > 1e-12)
+        shares[:, index] = shares_of(arriving[:, 0], arriving[:, stage])
     return out
+
+
+def shares_of(bare: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Which share [L, M] of the irradiance of lamps [L, 3, M], by channel, is left; 1 where there is none."""
+    bare, left = bare.mean(1), left.mean(1)
+    return np.divide(left, bare, out=np.ones_like(bare), where=bare > 1e-12)
 
 
 def shaded(width: int, of: Callable[[Shading], np.ndarray], without: float) -> Quantity:

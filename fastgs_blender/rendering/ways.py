@@ -179,7 +179,7 @@ def _corners(instances: Sequence[Instance]) -> np.ndarray:
     """The corners [8 K, 3] of the boxes around the Gaussians of K instances, twice as large for their motion, in the world."""
     found = [np.zeros((0, 3))]
     for instance in instances:
-        low, high = (bound.astype(np.float64) for bound in (instance.model.position.min(0), instance.model.position.max(0)))
+        low, high = _bounds(instance.model.position.T).astype(np.float64)
         middle, half = (low + high) / 2, high - low
         found.append((middle + _SIGNS * half) @ instance.placement[:3, :3].T + instance.placement[:3, 3])
     return np.concatenate(found)

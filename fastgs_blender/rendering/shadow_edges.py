@@ -1,0 +1,279 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Edges of meshes' shadows on splats, as sharp as pixels are.
+
+relight.py asks for the shadows of each Gaussian, so an edge is as ragged as Gaussians are large.  Here the points that pixels show ask the
+lamps again.  Around an edge the splats are drawn once more, without the meshes' shadows, and the pixel becomes, in light,
+
+    (1 - c) before + c bright (1 - sum over lamps q (1 - m))
+
+before  the picture with the Gaussians' own shadows
+bright  the one without
+q       which share of its light is a lamp's, as far as meshes can take it away; the mean over the pixel's splats
+m       which share of the lamp's light comes past the meshes to the pixel's point
+c       1 where the pixel shows one surface; 0 where it shows several, one behind the other: there Gaussians know better
+
+The passes of meshes' shadows become m in the same way.  A lamp of n points makes a soft shadow of n steps.  So m is averaged over as large
+a square of pixels as it differs in by no more than two steps: a sharp edge stays, and no steps are seen.
+"""
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import partial
+from typing import Any
+
+import numpy as np
+
+from ..cameras.camera import Camera
+from .colour import linear_to_srgb, scene_linear, straight
+from .exposure import Exposure
+from .instances import Instance, ViewedInstance
+from .layout import Layout
+from .quantities import Quantity, Shown
+from .ways import Ways
+
+PLACES = 4
+"""Places in a pixel that a lamp is looked at from, all its points together."""
+WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
+"""These places, in pixels from its middle: no two in one row or column."""
+REACH = 3.0
+"""Standard deviations that Gaussians count as large."""
+SHARP = 1e-3
+"""Shares of light from 0 and 1 on that are those of an edge."""
+FAINT = 1e-3
+"""Alpha up to which nothing is seen of a pixel."""
+NUMBERS = 5
+"""Numbers of a lamp (Taken.numbers)."""
+BLOCK = 8
+"""Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
+WIDEST = 8
+"""Pixels to each side over which steps of a soft shadow are smoothed, at most; a power of two."""
+MOST = 16
+"""Samples of an exposure in which edges are looked at."""
+
+
+@dataclass(frozen=True, eq=False)
+class Taken:
+    """What meshes take from the light of the M Gaussians of an instance that are lit.
+
+    bright   the Instance of these, without the meshes' shadows
+    numbers  [M, NUMBERS, L] of each lamp: which share of the light in each channel meshes can take away; which share of the lamp's light
+             comes past the meshes, and past the splats
+    normal   [M, 3] in the world
+    edges    [E] those of the M on which a shadow's edge lies
+    """
+
+    bright: Instance
+    numbers: np.ndarray
+    normal: np.ndarray
+    edges: np.ndarray
+
+
+def on_edge(past: np.ndarray) -> np.ndarray:
+    """Where a part of a lamp's light comes past the meshes."""
+    return (past > SHARP) & (past < 1 - SHARP)
+
+
+def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, settings: Any, backend: Any,
+              holdout: np.ndarray | None, exposure: Exposure | None, averaged: bool) -> Any:
+    """A picture (passes.Blended) of lit instances with sharp edges of meshes' shadows: its colours, and the sums of the passes that show
+    shadows.
+
+    settings  passes.PassSettings
+    averaged  whether it is the average over the exposure; else it is its middle
+    """
+    shadows = [[blended.sums.get(name + (f"_{level + 1}" if level else "")) for name in ("mesh_shadow", "lamp_shadow")]
+               for level in range(max((each.taken.numbers.shape[2] for each in instances if each.taken), default=0))]
+    coloured = blended.rgb is not None and any(each.settings.shadows > 0 for each in instances)
+    if settings.light is None or (not coloured and all(sums is None for pair in shadows for sums in pair)):
+        return blended
+    space = "srgb" if {each.model.colour_space for each in instances} == {"srgb"} else "linear"
+    bright = [replace(each.taken.bright, taken=each.taken).viewed(camera) if each.taken else each for each in instances]
+    draw = partial(_Drawn, light=settings.light, lamps=len(shadows), backend=backend, by_pixel=settings.by_pixel, space=space)
+    if not averaged or exposure is None:
+        drawn = draw(*((bright, camera, holdout) if exposure is None else exposure.middle(bright, camera, holdout)))
+        if not drawn.pixels:
+            return blended
+        at, sums, alpha = drawn.pixels, dict(blended.sums), blended.alpha[drawn.pixels][:, None]
+        for level, pair in enumerate(shadows):
+            share = np.stack([drawn.past[:, level], drawn.past[:, level] * drawn.splats[:, level]])
+            for name, each, now in zip(("mesh_shadow", "lamp_shadow"), pair, share, strict=True):
+                if each is not None:
+                    name = name + (f"_{level + 1}" if level else "")
+                    sums[name] = each.copy()
+                    sums[name][at] += drawn.one[:, None] * (alpha * now[:, None] - each[at])
+        if not coloured:
+            return replace(blended, sums=sums)
+        before = scene_linear(blended.rgb[at], blended.alpha[at], space)
+        return replace(blended, sums=sums, rgb=_changed(blended, at, drawn.one[:, None] * (drawn.light - before), space))
+    change, levels = np.zeros(blended.rgb.shape), min(exposure.levels, int(np.log2(MOST)))
+    for sample in exposure.samples(levels):
+        if sample.weights[levels]:
+            (moved, eye), (lit, _) = (exposure.scene(each, camera, sample.time, sample.point) for each in (bright, instances))
+            drawn = draw(moved, eye, exposure.holdout(holdout, sample.time))
+            if drawn.pixels:
+                change[drawn.pixels] += sample.weights[levels] * drawn.one[:, None] * (drawn.light - drawn.of(lit))
+    at = np.nonzero(change.any(-1))
+    return replace(blended, rgb=_changed(blended, at, change[at], space))
+
+
+def _changed(blended: Any, at: tuple[np.ndarray, ...], change: np.ndarray, space: str) -> np.ndarray:
+    """A picture [h, w, 3] with a change in light [P, 3] of some of its pixels."""
+    out, alpha = blended.rgb.copy(), blended.alpha[at]
+    linear = np.maximum(scene_linear(out[at], alpha, space) + change, 0)
+    out[at] = linear_to_srgb(straight(linear, alpha)) * alpha[:, None] if space == "srgb" else linear
+    return out
+
+
+class _Drawn:
+    """A sample's picture around the edges of shadows.
+
+    pixels  rows and columns [P] of the window that it has; empty: there are none
+    one     [P] whether each shows one surface, from 0 to 1
+    light   [P, 3] its colour with sharp edges, in light
+    past    [P, L] the share of each lamp's light that comes past the meshes, and
+    splats  [P, L] past the splats
+    """
+
+    pixels: tuple[np.ndarray, ...] = ()
+
+    def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
+                 backend: Any, by_pixel: bool, space: str):
+        self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
+        eye = _around_edges(instances, camera)
+        if eye is None:
+            return
+        self.eye = eye
+        quantities = {"near": Quantity(3, _near, core=True), "numbers": Quantity(NUMBERS * lamps, lambda shown: _numbers(shown, lamps)),
+                      "normal": Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
+                                         np.zeros((len(shown.index), 3)))}
+        rgb, alpha, sums = self._sums(instances, quantities, True)
+        numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
+        at = self._at = np.nonzero(_asked(numbers[..., 3, :], alpha))
+        if not len(at[0]):
+            return
+        rgb, alpha, numbers, plane, near, normal = (array[at].astype(np.float64) for array in
+                                                    (rgb, alpha, numbers, sums["plane"], sums["near"], sums["normal"]))
+        numbers /= alpha[:, None, None]
+        x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), at[::-1], strict=True))
+        places = np.stack([_points(eye, plane / alpha[:, None], x + dx, y + dy) for dx, dy in WITHIN])
+        mean, wide = (near[:, :2] / np.maximum(near[:, 2:], 1e-30)).T
+        depth = (plane * np.stack([np.ones_like(x), x, y], 1)).sum(1) / alpha
+        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
+        self.pixels = at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0]
+        self.one = np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * light.bias), 0, 1) * (depth > eye.near)
+        self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, 4]
+        takes = (numbers[:, :3] * (1 - self.past)[:, None]).sum(2)
+        self.light = scene_linear(rgb, alpha, space) * np.maximum(1 - takes, 0)
+
+    def of(self, instances: list[ViewedInstance]) -> np.ndarray:
+        """What its pixels look like with these instances, in light [P, 3]."""
+        rgb, alpha, _ = self._sums(instances, {}, False)
+        return scene_linear(rgb[self._at], alpha[self._at], self.space)
+
+    def _sums(self, instances: list[ViewedInstance], quantities: dict[str, Quantity], planes: bool
+              ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Colour [h, w, 3], alpha [h, w], and the sums of quantities by name, around the edges."""
+        layout = Layout(instances, False, quantities, planes or self.holdout is not None, self.by_pixel)
+        drawn = self.backend.draw(instances, self.eye, layout, (), lambda share: None, holdout=self.holdout)
+        rgb, alpha = (self.backend.numpy(array) for array in (self.backend.colour(drawn, layout, self.eye), drawn.alpha))
+        return rgb, alpha, {name: self.backend.numpy(array) for name, array in drawn.sums.items()}
+
+
+def _around_edges(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
+    """The camera with a window around the Gaussians on which edges lie; None where it sees none."""
+    low, high = np.full(2, np.inf), np.full(2, -np.inf)
+    for each in instances:
+        if each.taken:
+            middle, spread = Shown(each, each.taken.edges).pixels(each)
+            reach = REACH * each.settings.splat_scale * np.sqrt((spread * spread).sum(-1)) + BLOCK
+            good = np.isfinite(middle + reach).all(1)
+            low = np.minimum(low, (middle - reach)[good].min(0, initial=np.inf))
+            high = np.maximum(high, (middle + reach)[good].max(0, initial=-np.inf))
+    x0, y0, width, height = camera.window
+    left, top = (max(int(np.clip(np.floor(v), -1e9, 1e9)), least) for v, least in zip(low, (x0, y0), strict=True))
+    right, bottom = (min(int(np.clip(np.ceil(v), -1e9, 1e9)), most) for v, most in zip(high, (x0 + width, y0 + height), strict=True))
+    return replace(camera, window=(left, top, right - left, bottom - top)) if right > left and bottom > top else None
+
+
+def _near(shown: Shown) -> np.ndarray:
+    """Of each Gaussian its depth, its standard deviation along the view, and 1."""
+    along = np.tensordot(shown.instance.model_to_camera[2, :3], shown.spread, 1)
+    return np.stack([shown.view[:, 2], np.sqrt((along * along).sum(0)), np.ones(len(shown.index))], 1)
+
+
+def _numbers(shown: Shown, lamps: int) -> np.ndarray:
+    """The numbers of each Gaussian's lamps; of those that are not lit all light arrives, and nothing is to be taken."""
+    if shown.instance.taken:
+        return shown.instance.taken.numbers[shown.index].reshape(-1, NUMBERS * lamps)
+    return np.repeat([[0, 0, 0, 1, 1]], lamps, 1).repeat(len(shown.index), 0)
+
+
+def _asked(past: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    """Which pixels [h, w] lie in or beside a block of pixels with an edge, of sums of shares past meshes [h, w, L] and alpha [h, w]."""
+    (height, width), there = alpha.shape, alpha > FAINT
+    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
+    edge = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
+    blocks = np.zeros((rows * BLOCK, columns * BLOCK), bool)
+    blocks[:height, :width] = edge
+    blocks = np.pad(blocks.reshape(rows, BLOCK, columns, BLOCK).any((1, 3)), 1)
+    blocks = blocks[:-2] | blocks[1:-1] | blocks[2:]
+    blocks = blocks[:, :-2] | blocks[:, 1:-1] | blocks[:, 2:]
+    return blocks.repeat(BLOCK, 0).repeat(BLOCK, 1)[:height, :width] & there
+
+
+def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
+    """Shares [P, L] at pixels `seen` of a window, without the steps that lamps of so many points [P, L] make."""
+    corner = [axis.min() - WIDEST - 1 for axis in seen]
+    size = [axis.max() - first + 1 + WIDEST for axis, first in zip(seen, corner, strict=True)]
+    at, out = tuple(axis - first for axis, first in zip(seen, corner, strict=True)), past.copy()
+    for lamp in np.flatnonzero((points > 1.5).any(0)):
+        there, low, high, mean = np.zeros(size), np.full(size, np.inf), np.full(size, -np.inf), np.zeros(size)
+        there[at], low[at], high[at], mean[at] = 1, *[past[:, lamp]] * 3
+        total, step, radius = there.cumsum(0).cumsum(1), 2.001 / np.maximum(points[:, lamp], 1), 0
+        summed = mean.cumsum(0).cumsum(1)
+        while radius < WIDEST:
+            radius, off = max(2 * radius, 1), max(radius, 1)
+            for axis in (0, 1):
+                low = np.minimum(low, np.minimum(np.roll(low, off, axis), np.roll(low, -off, axis)))
+                high = np.maximum(high, np.maximum(np.roll(high, off, axis), np.roll(high, -off, axis)))
+            narrow = np.flatnonzero(high[at] - low[at] <= step)
+            rows, columns = at[0][narrow], at[1][narrow]
+            box = [(rows + radius, columns + radius), (rows - radius - 1, columns + radius), (rows + radius, columns - radius - 1),
+                   (rows - radius - 1, columns - radius - 1)]
+            many, sums = ([sheet[corner] for corner in box] for sheet in (total, summed))
+            out[narrow, lamp] = (sums[0] - sums[1] - sums[2] + sums[3]) / (many[0] - many[1] - many[2] + many[3])
+    return out
+
+
+def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Points [3, P] in the world at x and y, in pixels from the image's middle, on planes [P, 3] of depth."""
+    depth = plane[:, 0] + plane[:, 1] * x + plane[:, 2] * y
+    spread = 1.0 if eye.orthographic else depth
+    view = np.stack([(x + eye.width / 2 - eye.cx) / eye.fx * spread, (y + eye.height / 2 - eye.cy) / eye.fy * spread, depth])
+    to_world = np.linalg.pinv(eye.world_to_camera)
+    return to_world[:3, :3] @ view + to_world[:3, 3:]
+
+
+def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
+    """By lamp, which share of its light comes past the meshes to pixels, as places [S, 3, P] with normals [3, P], and of how many points of
+    the lamp, as if each were as bright: [P, L] each."""
+    ways, middle = Ways(backend, [], light.meshes), places.mean(0)
+    free, left, squares = np.zeros((3, count, len(normal.T)))
+    for (lamp, _), level in zip(light.lamps, light.levels, strict=True):
+        bright = np.abs(lamp.colour).sum(1)
+        for side in ways.sides(lamp.light, middle):
+            at, facing = middle[:, side.rows], normal[:, side.rows]
+            for k in np.flatnonzero(bright):
+                each = min(max(round(PLACES * bright[k] / bright.sum()), 1), len(places))
+                share = bright[k] * lamp.share(k, at, facing)
+                lit = np.flatnonzero(share)
+                if len(lit):
+                    rows = side.rows[lit]
+                    turn = (k * each + np.arange(each)) % len(places)
+                    open_ = ways.past(lamp.light, k, side, places[turn][:, :, rows], light.size, light.bias)[0]
+                    free[level, rows] += share[lit]
+                    left[level, rows] += share[lit] * open_
+                    squares[level, rows] += share[lit] ** 2
+    shine = np.maximum(free, 1e-30)
+    return (left / shine).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
