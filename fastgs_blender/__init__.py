@@ -40,6 +40,8 @@ if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
     from .evaluation.metrics import psnr
     from .formats import load, open_source, save
     from .model.appearance import RGB, SH, Changing, Features
+    from .model.chapters import Chapters
+    from .model.cutting import chapters
     from .model.edits import Edit
     from .model.gaussians import Clip, GaussianModel, Raster
     from .model.joining import concatenate
@@ -69,6 +71,7 @@ PLACES = {
     "cameras.poses": "look_at", "captures": "Capture open_capture", "captures.clocks.files": "Clocks write_clocks",
     "captures.clocks.find": "find_offsets", "checks": "check", "checks.report": "CheckReport", "evaluation.evaluate": "evaluate",
     "evaluation.metrics": "psnr", "formats": "load open_source save", "model.appearance": "RGB SH Changing Features", "model.edits": "Edit",
+    "model.chapters": "Chapters", "model.cutting": "chapters",
     "model.gaussians": "Clip GaussianModel Raster", "model.joining": "concatenate",
     "model.motion": "Cosine Fourier Keyframes Polynomial Static", "model.parts": "Parts", "model.sequence": "Sequence",
     "model.slicing": "Slice freeze slice_model", "model.surroundings": "Backdrop Surroundings Viewpoint",
@@ -84,10 +87,12 @@ _place_of = {name: place for place, names in PLACES.items() for name in names.sp
 
 __version__ = VERSION
 __all__ = [
-    "RGB", "SH", "Alignment", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "CheckReport", "Cleaning",
+    "RGB", "SH", "Alignment", "Always", "Aperture", "Backdrop", "BakeReport", "Camera", "Capture", "Changing", "Chapters",
+    "CheckReport", "Cleaning",
     "Clip", "Clocks", "Cosine", "Crop", "Edit", "Exposure", "FastGSError", "Features", "Fourier", "GaussianModel", "Grade", "Instance",
     "Keyframes", "Loop", "LossWarning", "MovingMesh", "ObjectSettings", "Parts", "PassSettings", "Polynomial", "Radial", "Raster",
-    "Sequence", "Similarity", "Slice", "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "align", "bake", "check",
+    "Sequence", "Similarity", "Slice", "Static", "Surroundings", "View", "Viewpoint", "Window", "WindowedRadial", "align", "bake",
+    "chapters", "check",
     "clean", "concatenate", "dolly", "evaluate", "find_loop", "find_offsets", "freeze", "load", "load_cameras", "look_at", "make_mesh",
     "match_grade", "open_capture", "open_source", "orbit", "psnr", "render", "save", "save_cameras", "save_image", "similarity",
     "slice_model", "through", "train", "write_clocks",

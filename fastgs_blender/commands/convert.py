@@ -7,6 +7,8 @@ included, a file is written for each frame.  OUT then says where the number goes
 If its name ends in .html, OUT is a web page that plays the model offline.  It holds a compressed file, and takes one as it is.
 IN may be a sequence: a folder or a zip of numbered files, or a pattern of their names (take_####.ply).  Without --at one model is fitted
 to its frames, which must hold the same Gaussians in the same order; what is lost says how well.
+With --chapters a .safetensors file is read part by part while it plays, so that a clip of any length needs little memory.  --then adds
+more models, which play after IN.
 """
 from __future__ import annotations
 
@@ -26,7 +28,9 @@ from . import web_page
 from .shared import human_bytes, note, note_frames_outside, print_json, refuse_existing, say
 
 if TYPE_CHECKING:
+    from ..model.chapters import Chapters
     from ..model.gaussians import GaussianModel
+    from ..model.sequence import Source
     from ..util.frames import Frames
 
 PLACE = re.compile(r"%0?(\d*)d|(#{2,})")
@@ -41,6 +45,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--compress", metavar="LEVEL", nargs="?", const="fine",
                         help="write .safetensors, or what a page holds, compressed: fine (the default; pictures lose at most 0.1 dB of "
                              "held-out views), small (0.3 dB; takes minutes), or another number of dB")
+    parser.add_argument("--chapters", metavar="FRAMES", nargs="?", type=int, const=60,
+                        help="write a .safetensors file of which only some chapters of so many frames (default 60) are in memory; what is "
+                             "in chapters already stays so")
+    parser.add_argument("--then", metavar="NEXT", nargs="+", default=[], help="models that play after IN, in chapters of one file")
     parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
                         help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
     parser.add_argument("--antialias", action="store_true", help="make the sampling limit of the capture's cameras a part of static "
@@ -51,10 +59,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 def run(args: argparse.Namespace) -> None:
     from .. import formats
-    from ..model.from_frames import one_model
+    from ..model.chapters import Chapters
     from ..model.gaussians import GaussianModel
     from ..model.pruning import pruned
-    from ..model.sequence import Sequence
     from ..model.slicing import freeze
     from ..util.frames import parse_frames
 
@@ -65,11 +72,11 @@ def run(args: argparse.Namespace) -> None:
     losses: list[str] = []
     with _collected(losses):
         source = formats.open_source(args.input)
-        model = one_model(source) if isinstance(source, Sequence) and frames is None else source
+        model = source if frames is not None else _joined(source, args) if args.then or args.chapters is not None else _one_model(source)
     if frames is not None:
         note_frames_outside(source, frames)
     lines: list[str] = []
-    held = len(model)
+    held = _count(model)
     page = web_page.is_page(targets[0])
     packs = bool(args.compress) or page
     total = PARTS * len(targets) if packs or len(targets) > 1 else 0
@@ -77,20 +84,24 @@ def run(args: argparse.Namespace) -> None:
         with progress(total, "step", "compressing" if packs else "writing", quiet=args.quiet) as bar:
             for done, (target, frame) in enumerate(zip(targets, frames or [None], strict=True)):
                 result = model if frame is None else freeze(*source.moment(source.clip.t_of_frame(float(frame))))
-                assert isinstance(result, GaussianModel)
-                if args.prune is not None:
-                    result = pruned(result, args.prune)
-                if args.antialias:
-                    with _collected(losses):
-                        result = _sampled(result, args.input, target)
-                refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
+                assert isinstance(result, (GaussianModel, Chapters))
+                if isinstance(result, GaussianModel):
+                    if args.prune is not None:
+                        result = pruned(result, args.prune)
+                    if args.antialias:
+                        with _collected(losses):
+                            result = _sampled(result, args.input, target)
+                    refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
+                elif args.prune is not None or args.antialias or page:
+                    raise FastGSError(f"{args.input} is a clip whose chapters no page and no model holds together; convert the models that "
+                                      "it was made of.")
                 with _collected(losses, str(target), args.output):
-                    if page:
+                    if page and isinstance(result, GaussianModel):
                         web_page.write(result, target, args, partial(_move, bar, done))
                     else:
                         formats.save(result, target, args.compress, partial(_move, bar, done))
                 bar.to((done + 1) * PARTS)
-                held = len(formats.load(target) if args.compress and not page else result)  # compression leaves Gaussians out
+                held = _count(formats.open_source(target) if args.compress and not page else result)  # compression leaves Gaussians out
                 lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
     finally:  # once the bar is away
         for line in lines if not (args.json or args.quiet) else ():
@@ -99,6 +110,34 @@ def run(args: argparse.Namespace) -> None:
         print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": held, "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
+
+
+def _one_model(source: Source) -> Source:
+    """The one model of a source; a clip whose chapters no model holds stays as it is."""
+    from ..model.chapters import Chapters
+    from ..model.from_frames import one_model
+    from ..model.sequence import Sequence
+
+    if isinstance(source, Chapters):
+        return source.whole() if source.one_time else source
+    return one_model(source) if isinstance(source, Sequence) else source
+
+
+def _joined(source: Source, args: argparse.Namespace) -> Chapters:
+    """A clip in chapters of the source and those that play after it."""
+    from .. import formats
+    from ..model.chapters import Chapters
+    from ..model.cutting import FRAMES, chapters
+
+    if args.prune is not None or args.antialias or not args.output.lower().endswith(formats.Native.extensions):
+        raise FastGSError("--chapters and --then write a .safetensors file, without --prune and --antialias; do these first.")
+    given = [source, *(formats.open_source(path) for path in args.then)]
+    models = [each if isinstance(each, Chapters) else _one_model(each) for each in given]
+    return chapters(*models, frames=FRAMES if args.chapters is None else args.chapters)  # type: ignore[arg-type]
+
+
+def _count(source: Source) -> int:
+    return getattr(source, "total", len(source))
 
 
 def _move(bar: Progress, done: int, share: float) -> None:

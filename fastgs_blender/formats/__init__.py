@@ -10,9 +10,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ..model.chapters import Chapters
 from ..model.gaussians import GaussianModel, unchanging
 from ..model.sequence import Source
 from ..util.errors import FastGSError, LossWarning, printable
@@ -144,14 +146,15 @@ def load(path: str | os.PathLike) -> GaussianModel:
     return model
 
 
-def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | None = None,
+def save(model: GaussianModel | Chapters, path: str | os.PathLike, compress: float | str | None = None,
          progress: Callable[[float], None] | None = None) -> None:
     """Write the model: .safetensors (everything), .ply (INRIA's if nothing moves, else Spacetime Gaussians'), .html (a page that plays it).
 
     compress  write the compressed variant of .safetensors: "fine" (held-out views lose at most 0.1 dB), "small" (0.3 dB), or another
               number of dB; rate.py says how that is measured.  A page holds such a file: without `compress`, a fine one
     progress  called with 0..1 while a file is compressed; what it raises cancels that, and nothing is written
-    One LossWarning says what the format cannot hold.  What was at `path` is replaced only once all is written.
+    A clip in chapters becomes a .safetensors file, one piece after another.  One LossWarning says what the format cannot hold.
+    What was at `path` is replaced only once all is written.
     Raises FastGSError.
 
     Example:
@@ -159,25 +162,41 @@ def save(model: GaussianModel, path: str | os.PathLike, compress: float | str | 
     """
     path = Path(path)
     try:
-        if not isinstance(model, GaussianModel):
+        if not isinstance(model, (GaussianModel, Chapters)):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
-        writer = writer_of(model, path)
+        chosen: dict[str, Any] = {"progress": progress} | ({} if compress is None else {"loss": Loss.of(compress)})
+        writer = _writer_of_chapters(path) if isinstance(model, Chapters) else writer_of(model, path)
         if isinstance(writer, (Native, WebPage)):
-            writer = replace(writer, progress=progress, **({} if compress is None else {"loss": Loss.of(compress)}))
+            writer = replace(writer, **chosen)
         elif compress is not None:
             raise FastGSError("only .safetensors files and pages have a compressed variant; choose such a name, or a packed format such as "
                               ".spz.")
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
-            fitted, lost = writer.fit(model)
-            lost = lost + writer.lost_cameras(model) + writer.lost_parts(model)
-            with replacing(writer.files(fitted, path)) as targets:
-                writer.write(fitted, targets)
+            if isinstance(writer, Native) and isinstance(model, Chapters):
+                with replacing([path]) as (target,):
+                    lost = writer.write_chapters(model, target)
+            elif isinstance(model, GaussianModel):
+                lost = _written(writer, model, path)
     except InterruptedError:  # an OSError, but the caller's own, from progress()
         raise
     except (FastGSError, OSError, MemoryError) as error:
         raise _named("cannot write", path, error) from error
     if lost:
         warnings.warn(LossWarning(f"{path} cannot hold everything as {writer.name}: {'; '.join(lost)}."), stacklevel=2)
+
+
+def _written(writer: Format, model: GaussianModel, path: Path) -> list[str]:
+    """Write a model; returns what is lost, one clause each."""
+    fitted, lost = writer.fit(model)
+    with replacing(writer.files(fitted, path)) as targets:
+        writer.write(fitted, targets)
+    return lost + writer.lost_cameras(model) + writer.lost_parts(model)
+
+
+def _writer_of_chapters(path: Path) -> Native:
+    if path.suffix.lower() not in Native.extensions:
+        raise FastGSError("only .safetensors files hold a clip in chapters; choose such a name, or convert a frame of it (--at).")
+    return Native()
 
 
 def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:

@@ -7,6 +7,8 @@ import json
 import math
 from dataclasses import MISSING, asdict, fields
 
+import numpy as np
+
 from ..model.appearance import APPEARANCES, Appearance, Changing
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
@@ -17,6 +19,8 @@ from ..util.errors import FastGSError
 
 MAX_PROVENANCE = 1 << 16
 """Characters of JSON; foreign formats do without a longer one."""
+KINDS = ("basis", "rotation_basis", "temporal_kind", "appearance", "raster", "clip", "axes", "colour_space", "provenance", "surroundings")
+"""What understand() gives, by the names that GaussianModel has for it."""
 
 
 def describe(model: GaussianModel) -> dict:
@@ -49,6 +53,12 @@ def understand(values: dict) -> dict:
         "surroundings": ("surroundings", _surroundings),
     }
     return {name: read(values[key]) for key, (name, read) in readers.items() if key in values}
+
+
+def without_gaussians(kinds: dict) -> GaussianModel:
+    """A model of no Gaussians, of the kinds that understand() gave."""
+    width = kinds["appearance"].width if "appearance" in kinds else 3
+    return GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, width)), **kinds)
 
 
 def is_json_table(head: bytes) -> bool:

@@ -2,29 +2,27 @@
 """FAST-GS's own format: a safetensors file with the model's arrays, and its kinds and constants as JSON.  docs/file-format.md."""
 import json
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 
-from ..model.appearance import Features
+from ..model.chapters import Chapters
 from ..model.gaussians import GaussianModel
-from ..model.parts import Parts
+from ..model.sequence import Source
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if
 from ..util.tensor_files import MAX_HEADER, TensorFile, open_tensors, write_tensors
-from . import compressed
-from .base import LIMIT, Format, generator
-from .description import describe, read_json, understand, whole_number
+from . import chaptered
+from .base import LIMIT, Format, Loader, generator
+from .description import describe, read_json, understand, whole_number, without_gaussians
+from .native_arrays import arrays_of, decoder_of, read_model, with_decoder
 from .rate import Loss
 
 VERSION, COMPRESSED = 1, 3
-"""Of plain and of compressed files: raised when a reader of the old version would misread a new file; additions that it may pass over do
-not raise it."""
+"""Of plain and of compressed files, beside that of long clips (chaptered.py): raised when a reader of the old version would misread a new
+file; additions that it may pass over do not raise it."""
 KEY = "fast-gs"
-DECODER = ("w1", "w2")
-PARTS = "parts"
-"""Key of the parts' names in the header, and of the array [N / 8, P] uint8 of their Gaussians, eight in a byte, the first highest."""
 REQUIRED = ("basis", "rotation_basis", "temporal", "appearance", "raster", "clip", "axes", "colour_space")
 
 
@@ -49,26 +47,15 @@ class Native(Format):
 
     def load(self, path: Path) -> GaussianModel:
         with open_tensors(path) as file:
-            if KEY not in file.metadata:
-                raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
-            kinds, version, about = _kinds(file.metadata[KEY])
-            look = kinds["appearance"]
-            empty = GaussianModel(np.zeros((0, 3)), np.zeros((0, 4)), np.zeros((0, 3)), np.zeros(0), np.zeros((0, look.width)), **kinds)
-            if version == COMPRESSED:
-                model = compressed.unpacked(file, about, empty)
-                return replace(model, appearance=_with_decoder(file, look), parts=_parts(file, len(model)))
-            position = file.entries.get("position")
-            shapes = empty.shapes(position.shape[0] if position and position.shape else 1)
-            if isinstance(look, Features):
-                shapes |= {f"decoder.{key}": getattr(look, key).shape for key in DECODER}
-            stored = [name for name, shape in shapes.items() if 0 not in shape[1:]]
-            for name in stored:
-                _check(file, name, shapes[name])
-            arrays = {name: file.read(name) if name in stored else np.zeros(shape, np.float32) for name, shape in shapes.items()}
-            parts = _parts(file, len(arrays["position"]))
-        if isinstance(look, Features):
-            kinds["appearance"] = replace(look, **{key: arrays.pop(f"decoder.{key}") for key in DECODER})
-        return replace(empty, appearance=kinds["appearance"], parts=parts, **arrays)
+            about, version, kinds = _header(file)
+            if version == chaptered.VERSION:
+                return chaptered.opened(path, file, about, kinds).whole()
+            return read_model(file, about, with_decoder(file, kinds))
+
+    def open(self, path: Path, load: Loader) -> Source:
+        with open_tensors(path) as file:
+            about, version, kinds = _header(file)
+            return load(path) if version != chaptered.VERSION else chaptered.opened(path, file, about, kinds)
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if self.loss is None:
@@ -81,59 +68,38 @@ class Native(Format):
         return model.take(~bad), lost
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        about = {"version": VERSION, "generator": generator(), "model": describe(model)}
-        if self.loss is None:
-            tensors, bits = {name: array for name, array in model.arrays.items() if 0 not in array.shape[1:]}, model.parts.bits
-        else:
-            tensors, about["compressed"], bits = compressed.packed(model, self.loss, self.progress or (lambda share: None))
-            about["version"] = COMPRESSED
-        if isinstance(model.appearance, Features):
-            tensors |= {f"decoder.{key}": getattr(model.appearance, key) for key in DECODER}
-        if model.parts.names:
-            about["parts"], tensors[PARTS] = list(model.parts.names), np.packbits(bits, axis=0)
-        write_tensors(targets[-1], tensors, {KEY: json.dumps(about, allow_nan=False)})
+        tensors, entries = arrays_of(model, self.loss, self.progress)
+        about = {"version": VERSION if self.loss is None else COMPRESSED, "generator": generator(), "model": describe(model), **entries}
+        write_tensors(targets[-1], tensors | decoder_of(model), {KEY: json.dumps(about, allow_nan=False)})
+
+    def write_chapters(self, source: Chapters, target: Path) -> list[str]:
+        """Write a long clip, one piece after another; returns what is lost, one clause each."""
+        lost: dict[str, None] = {}
+
+        def fit(model: GaussianModel) -> GaussianModel:
+            fitted, clauses = self.fit(model)
+            lost.update(dict.fromkeys(clauses))
+            return fitted
+
+        chaptered.write(source, target, self.loss, fit, self.progress or (lambda share: None))
+        return list(lost)
 
 
-def _with_decoder(file: TensorFile, look):
-    """The appearance with the decoder's weights that the file has."""
-    if not isinstance(look, Features):
-        return look
-    for key in DECODER:
-        _check(file, f"decoder.{key}", getattr(look, key).shape)
-    return replace(look, **{key: file.read(f"decoder.{key}") for key in DECODER})
-
-
-def _parts(file: TensorFile, count: int) -> Parts:
-    """The parts of a file's model of so many Gaussians."""
-    names = read_json(file.metadata[KEY]).get(PARTS, [])
-    if not names:
-        return Parts()
-    packed = file.read(PARTS)
-    good = isinstance(names, list) and all(isinstance(name, str) for name in names)
-    damaged_if(not good or packed.dtype != np.uint8 or packed.shape != (-(-count // 8), len(names)),
-               "its header and its array of parts do not fit together")
-    return Parts(tuple(names), np.unpackbits(packed, axis=0, count=count).astype(bool))
-
-
-def _kinds(text: str) -> tuple[dict, int, dict]:
-    """The model's kinds from the JSON in the metadata, the version of the format, and how it is compressed, if it is."""
-    about = read_json(text)
+def _header(file: TensorFile) -> tuple[dict, int, GaussianModel]:
+    """The table in the metadata, the version of the format, and a model without Gaussians of the file's kinds."""
+    if KEY not in file.metadata:
+        raise FastGSError("it is a safetensors file, but not a FAST-GS model.")
+    about = read_json(file.metadata[KEY])
     version = whole_number(about.get("version") if isinstance(about, dict) else None, "the version of its format")
-    if version > COMPRESSED:
-        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {COMPRESSED}); "
+    if version > chaptered.VERSION:
+        raise FastGSError(f"a newer FAST-GS wrote it (format version {version}, this one reads up to {chaptered.VERSION}); "
                           "update FAST-GS for Blender.")
-    if version not in (VERSION, COMPRESSED):
+    if version not in (VERSION, COMPRESSED, chaptered.VERSION):
         raise FastGSError(f"its format version {version} was never released; make the file again from the model's source.")
     values = about.get("model")
     missing = [key for key in REQUIRED if not isinstance(values, dict) or key not in values]
     damaged_if(missing, f"its header says nothing about {', '.join(missing)}")
-    return understand(values), version, about.get("compressed", {})
-
-
-def _check(file: TensorFile, name: str, shape: tuple[int, ...]) -> None:
-    """Raises FastGSError unless the file has a float32 array of that name and shape."""
-    entry = file.entries.get(name)
-    if entry is None:
-        raise FastGSError(f"its array {name!r} is missing; the file is damaged.")
-    if entry.dtype != "F32" or entry.shape != shape:
-        raise FastGSError(f"its array {name!r} must be float32 of shape {shape}, not {entry.dtype} of {entry.shape}.")
+    entries = {key: value for key, value in about.items() if key != "compressed"}
+    if version == COMPRESSED:
+        entries["compressed"] = about.get("compressed", {})
+    return entries, version, without_gaussians(understand(values))

@@ -68,9 +68,15 @@ LASTING = 0.002
 
 @dataclass(frozen=True)
 class Loss:
-    """How much held-out views may lose by compression, in decibels."""
+    """How much held-out views may lose by compression, in decibels.
+
+    span   the times that are looked at, for a piece of a long clip, which is seen for a part of it
+    share  of the error that may come from this model, where others are in the same pictures
+    """
 
     decibels: float
+    span: tuple[float, float] = (0.0, 1.0)
+    share: float = 1.0
 
     @classmethod
     def of(cls, value: float | str) -> Loss:
@@ -83,7 +89,7 @@ class Loss:
 
     def error(self, model: GaussianModel) -> float:
         """The mean squared error of the judged pictures at which other views lose no more, as far as BETWEEN and FEW tell."""
-        share = (BETWEEN if model.surroundings.cameras else 1.0) * min(1.0, max(0.5, len(model) / FEW))
+        share = self.share * (BETWEEN if model.surroundings.cameras else 1.0) * min(1.0, max(0.5, len(model) / FEW))
         return share * 10 ** (-held_out(model) / 10) * (10 ** (self.decibels / 10) - 1)
 
 
@@ -108,7 +114,7 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
     if not len(model):
         return []
     original, refit = model, loss.decibels > QUICK
-    series, judged = shots(model, SHOTS), shots(model, JUDGED, SHOTS, SHOWN)
+    series, judged = shots(model, SHOTS, span=loss.span), shots(model, JUDGED, SHOTS, SHOWN, loss.span)
     truth, allowed = pictures(model, judged), loss.error(model)
     model = plain(canonical(model.take(hilbert_order(model.position))), [shot.camera for shot in series])
     first = 1 - REFITTING if refit else 1.0
@@ -135,7 +141,7 @@ def allotted(model: GaussianModel, loss: Loss, segment: int, progress: Callable[
         return parts
     again, level = thinned(model, found, level, segment, original, SHOTS + JUDGED, SHOWN,
                            lambda ready, level: tried(ready, level)[1] / allowed,
-                           lambda share: progress(first + 0.9 * REFITTING * share))
+                           lambda share: progress(first + 0.9 * REFITTING * share), loss.span)
     return search(lambda level: tried(again, level), level, allowed, REFITTED,
                   lambda share: progress(first + REFITTING * (0.9 + 0.1 * share)))[1] or parts
 

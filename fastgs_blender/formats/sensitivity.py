@@ -77,10 +77,12 @@ class Sensitivity:
         return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
 
 
-def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None) -> list[Shot]:
+def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None,
+          span: tuple[float, float] = (0.0, 1.0)) -> list[Shot]:
     """`count` cameras and times at which a model's pictures are measured; another `first` gives other ones.
 
     width  pixels of the pictures' longer side, instead of WIDTH
+    span   the times between which they lie
 
     The cameras are those of its capture, each moved towards one of its NEIGHBOURS by another part of the way, else guessed_cameras().  Each
     is also moved sideways by a different amount, because Gaussians that are hidden from one place may be visible from a place beside it.
@@ -108,7 +110,8 @@ def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = 
             aim = aim + part_way * (there[:3, 3] + (away or distance) * there[:3, 2] - aim)
         camera = resized(framed(camera) if known and k // len(BACKGROUNDS) % 2 else camera, width or WIDTH)
         moved = replace(camera, world_to_camera=np.vstack([looking(place, aim - place, pose[:3, 1]), [0, 0, 0, 1]]))
-        found.append(Shot(moved, (0.5 + k * GOLDEN) % 1, BACKGROUNDS[k % len(BACKGROUNDS)]))
+        time = span[0] + (span[1] - span[0]) * ((0.5 + k * GOLDEN) % 1)
+        found.append(Shot(moved, time, BACKGROUNDS[k % len(BACKGROUNDS)]))
     return found
 
 

@@ -46,12 +46,14 @@ def worthy(model: GaussianModel, found: Sensitivity, level: float) -> np.ndarray
 
 
 def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int, original: GaussianModel, first: int, width: int,
-            error: Callable[[Prepared, float], float], progress: Callable[[float], None]) -> tuple[Prepared, float]:
+            error: Callable[[Prepared, float], float], progress: Callable[[float], None],
+            span: tuple[float, float] = (0.0, 1.0)) -> tuple[Prepared, float]:
     """The Gaussians that together need the fewest bits where they are refitted, and about the level at which they lose what is allowed.
 
     model     in its canonical form, with its sensitivities
     level     at which it loses what is allowed without refitting
     first     number of the first shot of the original that may be used; width: pixels of the pictures that are fitted
+    span      the times that are looked at
     error     gives the error of a prepared model that is quantised at a level, divided by the allowed one
     progress  called with 0..1; exceptions that it raises pass through
     """
@@ -62,7 +64,7 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
 
     def refit(ready: Prepared, level: float, count: int) -> Prepared:
         nonlocal first, done
-        ready = refitted(ready, level, segment, original, shots(original, count, first, width), part_of(count))
+        ready = refitted(ready, level, segment, original, shots(original, count, first, width, span), part_of(count))
         first, done = first + count, done + count
         return ready
 
@@ -77,7 +79,7 @@ def thinned(model: GaussianModel, found: Sensitivity, level: float, segment: int
             break
         ready, level, bits = new, at, needed
         model = canonical(new.model)
-        found = sensitivity(model, shots(original, SENSED, first), part_of(SENSED))
+        found = sensitivity(model, shots(original, SENSED, first, span=span), part_of(SENSED))
         first, done = first + SENSED, done + SENSED
         harm = removal(model, found)
         keep = ~superfluous(harm, k)

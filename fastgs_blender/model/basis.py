@@ -74,6 +74,10 @@ class Basis:
                         for j in range(self.terms + 1)], 1)
         return new[:, 0], new[:, 1:]
 
+    def within(self, begin: float, end: float) -> tuple[Basis, slice]:
+        """A basis with the same weights at times from `begin` to `end`, and which of this one's terms it has."""
+        return self, slice(None)
+
     # Training
 
     @classmethod

@@ -51,7 +51,7 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
         differing = [name for name in ("axes", "colour_space", "raster") if getattr(m, name) != getattr(first, name)]
         differing += [name for name in ("basis", "rotation_basis", "temporal_kind")
                       if not isinstance(getattr(m, name), (Static, Always)) and getattr(m, name) != kinds[name]]
-        differing += [] if _same_look(m.appearance, models[0].appearance) else ["appearance"]
+        differing += [] if same_look(m.appearance, models[0].appearance) else ["appearance"]
         if differing:
             raise FastGSError(f"the models cannot become one: their {differing[0].replace('_', ' ')} differs; render() shows them all.")
     widths = {"motion": kinds["basis"].terms, "rotation_motion": kinds["rotation_basis"].terms, "temporal": kinds["temporal_kind"].width}
@@ -116,13 +116,13 @@ def _same(first: GaussianModel, other: GaussianModel) -> None:
         raise FastGSError("the segments cannot be joined: their appearance, rasteriser constants, axes or colour space differ.")
     if isinstance(look, Changing):
         raise FastGSError("the segments cannot be joined: their colours change in time.")
-    if not _same_look(look, its):
+    if not same_look(look, its):
         raise FastGSError("the segments cannot be joined: they need one appearance in common, with the same decoder.")
     if not isinstance(other.temporal_kind, (Always, Radial)):
         raise FastGSError(f"the segments cannot be joined: their temporal opacity is {other.temporal_kind.name}, not radial.")
 
 
-def _same_look(look: Appearance, other: Appearance) -> bool:
+def same_look(look: Appearance, other: Appearance) -> bool:
     """Whether two appearances are the same, weights included."""
     if not (isinstance(look, Features) and isinstance(other, Features)):
         return look == other

@@ -14,6 +14,8 @@ from .basis import MAX_TERMS, Basis, Family
 
 LEAST_GAP = 1e-9
 """The shortest time between two keyframes."""
+SHORT = 64
+"""Keyframes of a table that is not worth cutting into the parts of a long clip."""
 
 
 @dataclass(frozen=True)
@@ -84,6 +86,15 @@ class Keyframes(Basis):
 
     def rates(self, t: ArrayLike) -> np.ndarray:
         return self._blend(t, rate=True)
+
+    def within(self, begin: float, end: float) -> tuple[Basis, slice]:
+        """The part of the table that counts then: the keys on either side, and for tangents one more; all of a short table."""
+        if self.terms <= SHORT:
+            return self, slice(None)
+        first = max(int(np.searchsorted(self.times, begin, side="right")) - 2, 0)
+        last = min(int(np.searchsorted(self.times, end, side="left")) + 2, self.terms)
+        first = max(min(first, last - 2), 0)
+        return replace(self, times=self.times[first:last]), slice(first, last)
 
     @classmethod
     def trained(cls, last: float) -> dict[str, tuple[Family, int]]:

@@ -7,11 +7,11 @@ shows, measures or writes a source asks for the moment first; everything after t
 import itertools
 import threading
 import weakref
-from collections import OrderedDict
+from collections import OrderedDict, deque
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass, replace
-from typing import ClassVar
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -54,6 +54,7 @@ class Cache:
         self._models: OrderedDict[tuple, tuple[object, GaussianModel]] = OrderedDict()
         self._making: dict[tuple, threading.Lock] = {}
         self._lock = threading.Lock()
+        self._gone: deque[int] = deque()
 
     def get(self, key: tuple, state: object, make: Callable[[], GaussianModel] | None) -> GaussianModel:
         """The model of a key, made if it is not there or was made in another state; raises NotRead where make is None."""
@@ -75,6 +76,7 @@ class Cache:
 
     def _put(self, key: tuple, known: tuple[object, GaussianModel]) -> None:
         with self._lock:
+            self._drop()
             self._models[key] = known
             self._models.move_to_end(key)
             self._making.pop(key, None)
@@ -85,11 +87,22 @@ class Cache:
     def nbytes(self, owner: int | None = None) -> int:
         """Bytes of all models, or of those of one owner."""
         with self._lock:
+            self._drop()
             return sum(model.nbytes for key, (_, model) in self._models.items() if owner is None or owner == key[0])
 
     def forget(self, owner: int) -> None:
-        """Drop the models of an owner, the first part of their keys."""
-        with self._lock:
+        """Drop the models of an owner, the first part of their keys: now, or where a thread is in here, which the collector of garbage may
+        have stopped to call this, when the next one comes."""
+        self._gone.append(owner)
+        if self._lock.acquire(blocking=False):
+            try:
+                self._drop()
+            finally:
+                self._lock.release()
+
+    def _drop(self) -> None:
+        while self._gone:
+            owner = self._gone.popleft()
             for key in [key for key in self._models if key[0] == owner]:
                 del self._models[key]
 
@@ -97,6 +110,11 @@ class Cache:
 cache = Cache()
 _owners = itertools.count()
 _reader = ThreadPoolExecutor(1, thread_name_prefix="fastgs-sequence")
+
+
+def ahead(read: Callable[..., GaussianModel], *given: Any) -> Future:
+    """Let read(*given) run in the thread that reads ahead."""
+    return _reader.submit(read, *given)
 
 
 class Sequence:
@@ -181,7 +199,7 @@ class Sequence:
         for task in self._ahead:
             task.cancel()
         steps = range(1, AHEAD + 1) if 0 < abs(step) <= STRIDE else ()
-        self._ahead = [_reader.submit(self.frame, (i + step * k) % len(self.at)) for k in steps]
+        self._ahead = [ahead(self.frame, (i + step * k) % len(self.at)) for k in steps]
 
     def __repr__(self) -> str:
         return f"Sequence({self.about}, {len(self.at)} frames, {self.clip!r})"

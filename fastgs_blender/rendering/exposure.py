@@ -9,6 +9,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..model.chapters import one_clip
 from ..model.edits import mixed
 from ..model.slicing import slice_model, still
 from ..util.errors import FastGSError
@@ -197,8 +198,10 @@ class Exposure:
         near = a if share < 0.5 else b
         settings = replace(near.settings, crops=crops_between(a.settings.crops, b.settings.crops, share))
         instance = replace(instance, settings=settings)
-        if not a.source is instance.source is b.source:  # frames of a sequence are not the same Gaussians
+        if not (one_clip(a.source, instance.source) and one_clip(b.source, instance.source)):  # frames of a sequence are other Gaussians
             return replace_time(instance, instance.t, placement)
+        if not a.source is instance.source is b.source:  # across a seam of a long clip
+            return replace_time(instance, a.t + share * (b.t - a.t), placement)
         if a.origin is None is b.origin:
             return replace_time(instance, a.t + share * (b.t - a.t), placement)
         between = mixed(a.model, a.t, b.model, b.t, share)

@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..model.chapters import one_clip
 from ..model.gaussians import GaussianModel
 from ..model.slicing import positions_at, quaternions_at
 from ..util import rotations
@@ -178,8 +179,9 @@ def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> View
     if moment is None:
         return replace(instance, t=instance.t + frames / instance.model.clip.frame_count)
     there = moment.instances.get(instance.place, instance)
-    if there.source is not instance.source:  # frames of a sequence are not the same Gaussians
-        return Instance(instance.model, there.placement, instance.t).viewed(moment.camera)
+    if there.source is not instance.source:  # frames of a sequence are not the same Gaussians, but chapters of a long clip share its time
+        t = there.t if one_clip(there.source, instance.source) else instance.t
+        return Instance(instance.model, there.placement, t).viewed(moment.camera)
     return Instance(there.model, there.placement, there.t).viewed(moment.camera)
 
 

@@ -4,12 +4,16 @@
 Eight bytes of length, a JSON table {name: {dtype, shape, data_offsets}} with texts under __metadata__, the arrays end to end.
 Nothing is mapped: a mapped file that another program shortens ends the process (SIGBUS), whatever was unsaved in it.
 """
+from __future__ import annotations
+
 import json
 import os
 import re
-from collections.abc import Iterator, Mapping
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +62,10 @@ class TensorFile:
         if array.size and self.stream.readinto(array.reshape(-1).view(np.uint8).data) != array.nbytes:
             raise FastGSError(f"the file is cut short within its array {name!r}; {DAMAGED}.")
         return array
+
+    def below(self, prefix: str) -> TensorFile:
+        """The arrays whose names begin so, by the rest of their names."""
+        return replace(self, entries={name[len(prefix):]: entry for name, entry in self.entries.items() if name.startswith(prefix)})
 
 
 @contextmanager
@@ -126,3 +134,27 @@ def write_tensors(path: Path, arrays: Mapping[str, np.ndarray], metadata: Mappin
     except SafetensorError as error:
         number = re.search(r"os error (\d+)", str(error))
         raise (OSError(int(number[1]), os.strerror(int(number[1]))) if number else OSError(str(error))) from error
+
+
+@contextmanager
+def streamed_tensors(path: Path) -> Iterator[tuple[Callable[[str, np.ndarray], None], dict[str, str]]]:
+    """add(name, array), which writes an array at once, and the file's texts, to be filled in the block.  The arrays are first written to a
+    file without a name beside `path`, because the header, which comes before them, lists them all.  Raises OSError."""
+    entries: dict[str, dict] = {}
+    metadata: dict[str, str] = {}
+    types = {np.dtype(kind): name for name, kind in DTYPES.items()}
+    with tempfile.TemporaryFile(dir=path.parent) as data:
+        def add(name: str, array: np.ndarray) -> None:
+            begin = data.tell()
+            data.write(np.ascontiguousarray(array).reshape(-1).view(np.uint8).data)
+            entries[name] = {"dtype": types[array.dtype], "shape": list(array.shape), "data_offsets": [begin, data.tell()]}
+
+        yield add, metadata
+        text = json.dumps({"__metadata__": metadata, **entries}, separators=(",", ":")).encode()
+        text += b" " * (-len(text) % 8)
+        if len(text) > MAX_HEADER:
+            raise FastGSError("the file would hold too many arrays; make its pieces longer.")
+        data.seek(0)
+        with open(path, "wb") as stream:
+            stream.write(len(text).to_bytes(8, "little") + text)
+            shutil.copyfileobj(data, stream, 1 << 20)

@@ -21,7 +21,7 @@ from ...model.temporal import KINDS
 from ...rendering.distance import MARGIN
 from ...rendering.instances import LIMIT
 from ...rendering.looks import Look
-from .. import columns, compressed, native, quantising, static
+from .. import columns, compressed, native, native_arrays, quantising, static
 
 SCREEN = glsl("srgb") + """
 /* scene-linear colour as screens take it: what save_image() writes */
@@ -56,7 +56,7 @@ def numbers() -> dict[str, Any]:
                   "FEWEST_BYTES": static.FEWEST_BYTES},
         "kinds": {
             "LEAST_GAP": LEAST_GAP, "MAX_DEGREE": motion.MAX_DEGREE, "MAX_TERMS": MAX_TERMS, "SH_C0": SH_C0, "ACTIVATIONS": ACTIVATIONS,
-            "DECODES": DECODES, "DECODER": {key: getattr(Features(), key).shape for key in native.DECODER},
+            "DECODES": DECODES, "DECODER": {key: getattr(Features(), key).shape for key in native_arrays.DECODER},
             "APPEARANCES": {name: getattr(look, "code", -1) for name, look in APPEARANCES.items()},
             "TEMPORAL": {name: {"code": kind.code, "logarithms": kind.logarithms} for name, kind in KINDS.items()}},
         "order": {"MARGIN": MARGIN, "LOOK": _places(Look),

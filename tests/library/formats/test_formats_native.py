@@ -209,7 +209,7 @@ def value(*keys):
 
 
 BAD = {
-    "a newer version": (value("version")(4), "newer FAST-GS.*update"),
+    "a newer version": (value("version")(5), "newer FAST-GS.*update"),
     "a version from before the first release": (value("version")(2), "version 2"),
     "version 1.5": (value("version")(1.5), "version"),
     "no version": (value("version")(None), "version"),

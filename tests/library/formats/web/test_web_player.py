@@ -14,7 +14,8 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 import fastgs_blender as fg
 from fastgs_blender.formats.compressed import columns_of, packed_segment
 from fastgs_blender.formats.description import describe
-from fastgs_blender.formats.native import COMPRESSED, DECODER, KEY, Native
+from fastgs_blender.formats.native import COMPRESSED, KEY, Native
+from fastgs_blender.formats.native_arrays import DECODER
 from fastgs_blender.formats.quantising import ATTRIBUTES, LIVES, SPREADS, Steps
 from fastgs_blender.formats.web import library
 from fastgs_blender.formats.web.page import Page, PageObject, player_files
