@@ -22,10 +22,15 @@ AHEAD = 16
 """How many splats ahead memory is asked for: sorted by depth, they lie all over it."""
 
 
+EXACT = 4
+"""(Columns - 1) (rows - 1) from which on a box of tiles is cut down to the ellipse in it; smaller ones would only lose corners."""
+
+
 @inline
-def grown(array):
-    """The array twice as long.  Copied number by number: numba takes two seconds for the messages that a slice could raise."""
-    larger = np.empty(2 * len(array), array.dtype)
+def grown(array, more=0):
+    """The array twice as long, and longer by `more`.  Copied number by number: numba takes two seconds for the messages that a slice
+    could raise."""
+    larger = np.empty(2 * len(array) + more, array.dtype)
     for k in range(len(array)):
         larger[k] = array[k]
     return larger
@@ -41,50 +46,52 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
     splat = np.empty(2 * (last - first) + 16, np.int32)
     begin, end = np.empty_like(splat), np.empty_like(splat)
     n, tile = 0, 1 << shift
+    # from here on in pixels from the centre of the first tile's first pixel
+    right_most, bottom_most = columns * tile - 1.0, rows * tile - 1.0
     for k in range(first, last):
         i = np.intp(order[k])
         ahead = np.intp(order[min(k + AHEAD, last - 1)])
         prefetch(geometry, ahead)
         prefetch(attributes, ahead)
-        mx, my = geometry[i, raster.MEAN_X], geometry[i, raster.MEAN_Y]
+        mx, my = geometry[i, raster.MEAN_X] - (tile_x * tile + 0.5), geometry[i, raster.MEAN_Y] - (tile_y * tile + 0.5)
         rx, ry = np.float64(attributes[i, raster.RADIUS_X]), np.float64(attributes[i, raster.RADIUS_Y])
-        # pixel centres lie at + 0.5
-        box_top = max(math.ceil(max(my - ry, -1e9) - 0.5), tile_y * tile)
-        box_bottom = min(math.floor(min(my + ry, 1e9) - 0.5), (tile_y + rows) * tile - 1)
-        box_left = max(math.ceil(max(mx - rx, -1e9) - 0.5), tile_x * tile)
-        box_right = min(math.floor(min(mx + rx, 1e9) - 0.5), (tile_x + columns) * tile - 1)
-        if box_top > box_bottom or box_left > box_right:
+        box_left, box_right, box_top, box_bottom = max(mx - rx, 0.0), min(mx + rx, right_most), max(my - ry, 0.0), min(my + ry, bottom_most)
+        if not (box_left <= box_right and box_top <= box_bottom):
             continue
-        left, right = (box_left >> shift) - tile_x, (box_right >> shift) - tile_x
-        top, bottom = (box_top >> shift) - tile_y, (box_bottom >> shift) - tile_y
-        exact = left < right and top < bottom  # in one row or one column of tiles the box is exact already
-        a, b, c, root, peak = 0.0, 0.0, 0.0, 0.0, 0.0
+        left, right, top, bottom = _tile(box_left, shift), int(box_right) >> shift, _tile(box_top, shift), int(box_bottom) >> shift
+        exact = (right - left) * (bottom - top) >= EXACT
+        a, b, c, square, peak = 0.0, 0.0, 0.0, 0.0, 0.0
         if exact:
-            a, b, c = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
-            reach = np.float64(attributes[i, raster.LOG2_OPACITY]) - np.float64(attributes[i, raster.LOG2_CUT])
-            root = math.sqrt(reach)
-            peak = b * root / (c * math.sqrt(b * b + c * c))
+            a, b, c = 1.0 / geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+            square = np.float64(attributes[i, raster.LOG2_OPACITY]) - np.float64(attributes[i, raster.LOG2_CUT])
+            peak = b * math.sqrt(square) / (c * math.sqrt(b * b + c * c))
+        if n + bottom - top >= len(splat):
+            splat, begin, end = grown(splat, bottom - top), grown(begin, bottom - top), grown(end, bottom - top)
         for row in range(top, bottom + 1):
             if exact:
                 # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
-                low = (tile_y + row) * tile + 0.5 - my
+                low = row * tile - my
                 high = low + (tile - 1)
-                y = min(max(-peak, low), high)
-                right_end = (math.sqrt(max(root * root - (c * y) ** 2, 0.0)) - b * y) / a
                 y = min(max(peak, low), high)
-                left_end = (-math.sqrt(max(root * root - (c * y) ** 2, 0.0)) - b * y) / a
-                x0 = max(math.ceil(max(mx + left_end - MARGIN, -1e9) - 0.5), box_left)
-                x1 = min(math.floor(min(mx + right_end + MARGIN, 1e9) - 0.5), box_right)
-                if x0 > x1:
+                x0 = max(mx - (math.sqrt(max(square - (c * y) ** 2, 0.0)) + b * y) * a - MARGIN, box_left)
+                y = min(max(-peak, low), high)
+                x1 = min(mx + (math.sqrt(max(square - (c * y) ** 2, 0.0)) - b * y) * a + MARGIN, box_right)
+                if not x0 <= x1:
                     continue
-                left, right = (x0 >> shift) - tile_x, (x1 >> shift) - tile_x
-            if n == len(splat):
-                splat, begin, end = grown(splat), grown(begin), grown(end)
+                left, right = _tile(x0, shift), int(x1) >> shift
+            if left > right:
+                continue
             splat[n], begin[n], end[n] = i, row * columns + left, row * columns + right + 1
             for touched in range(begin[n], end[n]):
                 counts[touched] += 1
             n += 1
     return splat[:n], begin[:n], end[:n]
+
+
+@inline
+def _tile(x, shift):
+    """The tile of the first pixel whose centre does not lie before x >= 0."""
+    return math.ceil(x) >> shift
 
 
 @kernel
