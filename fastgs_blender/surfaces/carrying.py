@@ -33,7 +33,7 @@ SMOOTH = 6
 HALF = 0.5
 """Share of its Gaussians' opacity below which a vertex is bound anew."""
 TORN = 4.0
-"""An edge that is so many times as long as at first, and longer than a voxel, is torn."""
+"""A face with a side that is so many times as long as at first, and longer than a voxel, is torn."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -99,19 +99,18 @@ def bind(model: GaussianModel, t: float, x: np.ndarray, normal: np.ndarray, voxe
 
 @dataclass(frozen=True, eq=False)
 class Paths:
-    """Places [S, V, 3] float32 of vertices at times [S], and which share of the edges is torn at each [S]."""
+    """Places [S, V, 3] float32 of vertices at times [S]."""
 
     times: np.ndarray
     places: np.ndarray
-    torn: np.ndarray
 
 
 def carry(model: GaussianModel, t: float, x: np.ndarray, quads: np.ndarray, voxel: float, times: np.ndarray, limit: float,
           progress: Callable[[float], Any]) -> Paths:
-    """The paths of a surface's vertices [V, 3] at times [S] around t, as far as no more than a share `limit` of its edges tears."""
+    """The paths of a surface's vertices [V, 3] at times [S] around t, as far as no more than a share `limit` of its area tears."""
     mesh, used = Mesh.of(quads, len(x)), np.zeros(len(model), bool)
-    longest = TORN * np.maximum(mesh.lengths(x), 0.5 * voxel)
-    found: dict[int, tuple[np.ndarray, float]] = {}
+    longest = TORN * np.maximum(mesh.sides(x), 0.5 * voxel)
+    found: dict[int, np.ndarray] = {}
     middle, place = int(np.searchsorted(times, t)), np.zeros((len(model), 3))
     first = bind(model, t, x, mesh.normals(x), voxel, opacities_at(model, t))
     base = mesh.smoothed(x, SMOOTH)
@@ -133,10 +132,10 @@ def carry(model: GaussianModel, t: float, x: np.ndarray, quads: np.ndarray, voxe
             base = mesh.smoothed(raw, SMOOTH)
             towards = mesh.normals(base)
             now = base + rest + height[:, None] * towards
-            torn = float((mesh.lengths(now) > longest).mean())
-            if torn > limit:
+            areas = mesh.areas(now)
+            if areas[(mesh.sides(now) > longest).any(1)].sum() > limit * areas.sum():
                 break
-            found[step] = now.astype(np.float32), torn
+            found[step] = now.astype(np.float32)
             progress(len(found) / len(times))
     kept = sorted(found)
-    return Paths(times[kept], np.stack([found[step][0] for step in kept]), np.array([found[step][1] for step in kept]))
+    return Paths(times[kept], np.stack([found[step] for step in kept]))

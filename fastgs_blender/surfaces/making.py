@@ -21,7 +21,9 @@ MOST_TIMES = 257
 PRECISE = 1e-4
 """Root mean squared distance, as a share of the size, to which shapes give the paths."""
 TEARS = 0.02
-"""Share of its edges that may be torn before a mesh is made anew."""
+"""Share of its area that may be torn before a mesh is made anew: torn faces become large, and show as sails."""
+CAUTION = 0.75
+"""Share of the time that a mesh holds, after which the next one is made: it then has to hold both ways."""
 MOST_MESHES = 12
 """Beyond so many, a mesh goes on although it tears."""
 
@@ -74,7 +76,7 @@ def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed
               progress: Callable[[float], Any] | None = None) -> list[MovingMesh]:
     """The surface of a model's subject at a time t, as a mesh that the Gaussians around it carry through the clip.
 
-    It is one mesh, unless more than TEARS of its edges tear: there it is made anew.  All meshes are in the order of their times.
+    It is one mesh, unless more than TEARS of its area tears: there it is made anew.  All meshes are in the order of their times.
 
     detail     voxels along the subject's longest side; a face is about as large as one
     closed     whether the surface has no holes; otherwise it is left out where no camera of the capture faced it, as far as the file knows
@@ -102,11 +104,16 @@ def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed
                      lambda share, done=done: progress(done + (1 - done) * share))
         found.append(mesh)
         first, last = np.searchsorted(times, mesh.times[[0, -1]])
-        if last + 1 < end:
-            waiting.append((last + 1, end, last + 1))
+        if last + 1 < end:  # the next one is made where it probably holds back to here
+            waiting.append((last + 1, end, last + 1 + _inside(end - last - 1, last - at)))
         if first > begin:
-            waiting.append((begin, first, first - 1))
+            waiting.append((begin, first, first - 1 - _inside(first - begin, at - first)))
     return sorted(found, key=lambda mesh: mesh.times[0])
+
+
+def _inside(count: int, reach: int) -> int:
+    """How many of `count` times beyond a seam the next mesh is made, where the one before it holds over `reach` times."""
+    return min(int(CAUTION * reach), count // 2)
 
 
 def times_of(model: GaussianModel) -> np.ndarray:

@@ -37,10 +37,15 @@ class Mesh:
         """Unit normals [V, 3] of the vertices at x [V, 3]."""
         return normals(x, self.quads)
 
-    def lengths(self, x: np.ndarray) -> np.ndarray:
-        """The lengths [E] of the edges where the vertices are at x [V, 3]."""
-        way = x[self.edges[:, 1]] - x[self.edges[:, 0]]
-        return np.sqrt(np.einsum("ed,ed->e", way, way))
+    def sides(self, x: np.ndarray) -> np.ndarray:
+        """The lengths [Q, 4] of the quads' sides where the vertices are at x [V, 3]."""
+        corners = x[self.quads]
+        way = np.roll(corners, -1, 1) - corners
+        return np.sqrt(np.einsum("qsd,qsd->qs", way, way))
+
+    def areas(self, x: np.ndarray) -> np.ndarray:
+        """The areas [Q] of the quads where the vertices are at x [V, 3]."""
+        return 0.5 * np.linalg.norm(area_vectors(x, self.quads), axis=1)
 
     def pieces(self) -> np.ndarray:
         """For each vertex the least number of a vertex to which edges lead from it [V]."""
@@ -61,8 +66,12 @@ def edges_of(quads: np.ndarray) -> np.ndarray:
     return np.stack([both >> 32, both & 0xFFFFFFFF], 1)
 
 
+def area_vectors(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
+    """Normals [Q, 3] of quads on vertices [V, 3], as long as twice their areas."""
+    return np.cross(x[quads[:, 2]] - x[quads[:, 0]], x[quads[:, 3]] - x[quads[:, 1]])
+
+
 def normals(x: np.ndarray, quads: np.ndarray) -> np.ndarray:
     """Unit normals [V, 3] of vertices [V, 3]: the sums of their quads' area vectors."""
-    area = np.cross(x[quads[:, 2]] - x[quads[:, 0]], x[quads[:, 3]] - x[quads[:, 1]])
-    total = np.stack([np.bincount(quads.ravel(), np.repeat(column, 4), len(x)) for column in area.T], 1)
+    total = np.stack([np.bincount(quads.ravel(), np.repeat(column, 4), len(x)) for column in area_vectors(x, quads).T], 1)
     return total / np.maximum(np.linalg.norm(total, axis=1, keepdims=True), 1e-30)

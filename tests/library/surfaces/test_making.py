@@ -79,12 +79,13 @@ def test_gaussians_that_fade_hand_over():
         assert off(mesh, swimming, t)[0] < 0.005
 
 
-def test_it_is_made_anew_where_it_tears():
-    """Two halves of a ball part: from then on other meshes take over, each of which has faces of the usual size."""
+@pytest.mark.parametrize("border", [0.0, 0.85])
+def test_it_is_made_anew_where_it_tears(border):
+    """A ball's half, or its cap, leaves it: from then on other meshes take over, each of which has faces of the usual size."""
     points, triangles = sphere(24)
 
     def parting(t):
-        return points + np.sign(points[:, :1]) * [max(0.0, 2 * t - 0.8), 0, 0], triangles
+        return points + np.sign(points[:, :1] - border) * [max(0.0, 2 * t - 0.8), 0, 0], triangles
 
     meshes = make(baked(parting, 5000), 0.0, detail=40)
     assert len(meshes) > 1
