@@ -88,7 +88,7 @@ class Stage:
     def __call__(self):
         kernel, (height, width) = raster.rasteriser(self.channels), self.size
         rest = (self.columns, 0, 0, width, height, 0, 0, self.starts, self.ids, self.geometry, self.attributes, self.out, self.alpha,
-                rasterise.NONE, raster.NOTHING, rasterise.NONE, 0.0, 0.0)
+                rasterise.NONE, raster.NOTHING, rasterise.NONE, 0.0, 0.0, np.ones(self.columns * self.rows, np.bool_))
         threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, rasterise.TILES))
 
     def write(self, folder: Path) -> list[str]:

@@ -15,7 +15,7 @@ from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
 from ...rendering.layout import Exposed, Layout
 from ...rendering.quantities import shares
-from ...util.threads import run
+from ...util.threads import ranges, run
 from . import raster
 from .jit import kernel
 from .paths import Paths, Snapshot, levels_of, measure, touch
@@ -26,6 +26,8 @@ from .splats import ProjectedSplats, project_instances
 TILE = raster.TILE
 WHOLE = 0.6
 """Share of the Gaussians beyond which all are drawn: picking some costs time, too."""
+PIECE = 256
+"""Tiles whose light is added up in one piece of work."""
 TABLE = colour.srgb_to_linear(np.linspace(0, 1, 4097)).astype(np.float32)
 """The sRGB curve, to 1e-7 with straight lines between."""
 
@@ -55,15 +57,14 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         if len(samples) > 1:
             _draw_out(splats, keep, paths, len(samples) - 1)
         weights = np.array(sample.weights, np.float32)[levels]
-        runs = _runs(weights > 0)
         hidden_by = exposure.holdout(holdout, sample.time)
-        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, tiles=runs, holdout=hidden_by,
+        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, wanted=weights > 0, holdout=hidden_by,
                             plane=layout.plane, by_pixel=by_pixel)
         buffers = picture.buffers(layout)
         rgb = colour_of(buffers, layout, eye) if colours and moved else None
         if objects:
             film.shares += _of_pixels(weights, grid, camera.window)[..., None] * buffers.sums["shares"]
-        _collect(film, rgb, picture.alpha, picture.held, weights, runs, grid, camera.window)
+        _collect(film, rgb, picture.alpha, picture.held, weights, grid, camera.window)
         progress((i + 1) / len(samples))
     rgb, alpha = film.picture()
     return Exposed(rgb if colours else None, alpha, None if holdout is None else film.held, film.shares if objects else None)
@@ -132,12 +133,6 @@ def _draw_out(splats: ProjectedSplats, keep: np.ndarray, paths: Paths, count: in
     splats.attributes[rows, raster.RADIUS_Y] = np.sqrt(reach * s11) + 1e-3
 
 
-def _runs(active: np.ndarray) -> list[tuple[int, int]]:
-    """(first, last) of the runs of tiles that are marked."""
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], active.astype(np.int8), [0]])))
-    return [(int(a), int(b)) for a, b in edges.reshape(-1, 2)]
-
-
 def _of_pixels(tiles: np.ndarray, grid, window) -> np.ndarray:
     """The numbers of the tiles [tiles], repeated for each of their pixels [h, w]."""
     (left, top, columns, _), (x0, y0, width, height) = grid, window
@@ -145,16 +140,12 @@ def _of_pixels(tiles: np.ndarray, grid, window) -> np.ndarray:
     return tiles.reshape(-1, columns)[row[:, None], column]
 
 
-def _collect(film: Film, rgb, alpha, held, weights, runs, grid, window):
+def _collect(film: Film, rgb, alpha, held, weights, grid, window):
     """Add a picture to the film, each tile with its weight."""
     colours = rgb is not None
     rest = (weights, *grid[:3], *window, rgb if colours else np.zeros((0, 0, 3), np.float32), alpha, film.encoded, colours, TABLE,
             film.rgb, film.alpha, np.zeros((0, 0), np.float32) if held is None else np.ascontiguousarray(held), film.held)
-    run(lambda first, last: collect(first, last, *rest), [(a, b) for first, last in runs for a, b in _pieces(first, last)])
-
-
-def _pieces(first: int, last: int) -> list[tuple[int, int]]:
-    return [(a, min(a + 128, last)) for a in range(first, last, 128)]
+    run(lambda first, last: collect(first, last, *rest), ranges(len(weights), PIECE))
 
 
 @kernel
@@ -164,6 +155,8 @@ def collect(first, last, weights, left, top, columns, x0, y0, width, height, rgb
     ends = float32(len(table) - 1)
     for tile in range(first, last):
         weight = weights[tile]
+        if not weight > float32(0.0):
+            continue
         begin_x, begin_y = (left + tile % columns) * TILE - x0, (top + tile // columns) * TILE - y0
         for y in range(max(begin_y, 0), min(begin_y + TILE, height)):
             for x in range(max(begin_x, 0), min(begin_x + TILE, width)):
@@ -173,10 +166,11 @@ def collect(first, last, weights, left, top, columns, x0, y0, width, height, rgb
                     out_held[y, x] += weight * held[y, x]
                 if not colours or not a > float32(0.0):
                     continue
+                inverse = float32(1.0) / a
                 for c in range(3):
                     value = rgb[y, x, c]
                     if encoded:
-                        straight = value / a
+                        straight = value * inverse
                         if straight >= float32(0.0) and straight < float32(1.0):
                             at = straight * ends
                             i = int(at)

@@ -58,13 +58,15 @@ class Occluder:
         listing = TileLists(window, grid, segments, counts)
         return cls(screen, listing, list_tiles(segments, counts, 0, counts.shape[1]), camera.far, camera.orthographic)
 
-    def depths(self, first: int, last: int) -> np.ndarray:
-        """Of the tiles first..last, the depth of the nearest triangle in each point of each pixel [last - first, PIXELS, SAMPLES]."""
+    def depths(self, first: int, last: int, wanted: np.ndarray | None = None) -> np.ndarray:
+        """Of the tiles first..last, the depth of the nearest triangle in each point of each pixel [last - first, PIXELS, SAMPLES]; of those
+        that are wanted [tiles] bool, of the others anything."""
         starts, ids = self.lists
         if starts[first] == starts[last]:
             return NOTHING
         out = np.empty((last - first, PIXELS, SAMPLES), np.float32)
-        cover(first, last, *self.listing.grid[:3], starts, ids, self.screen, POINTS, float(self.far), bool(self.orthographic), out)
+        wanted = np.ones(last, np.bool_) if wanted is None else wanted
+        cover(first, last, *self.listing.grid[:3], starts, ids, self.screen, POINTS, float(self.far), bool(self.orthographic), wanted, out)
         return out
 
 
@@ -170,11 +172,13 @@ def spans(first, last, screen, tile_x, tile_y, columns, rows, counts):
 
 
 @kernel
-def cover(first, last, tile_x, tile_y, columns, starts, ids, screen, points, far, orthographic, out):
+def cover(first, last, tile_x, tile_y, columns, starts, ids, screen, points, far, orthographic, wanted, out):
     """Occluder.depths: draw the triangles of each tile, the nearest wins."""
     px, py = points[:, 0].copy(), points[:, 1].copy()
     a, b, c = np.empty(3), np.empty(3), np.empty(3)
     for tile in range(first, last):
+        if not wanted[tile]:
+            continue
         buffer = out[tile - first]
         buffer[:] = float32(0.0)
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE

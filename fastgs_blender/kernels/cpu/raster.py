@@ -148,27 +148,38 @@ def line(geometry, i, left, top):
 @inline
 def begin(state, left, top, x0, y0, right, bottom):
     """Empty the state of the tile at (left, top): pixels outside of the window are finished."""
-    for i in range(PIXELS):
-        x, y = left + i % TILE, top + i // TILE
-        inside = x >= x0 and x < right and y >= y0 and y < bottom
-        state[i] = float32(1.0) if inside else float32(-1.0)
+    state[:PIXELS] = float32(1.0)
     state[PIXELS:] = float32(0.0)
+    if left < x0 or left + TILE > right or top < y0 or top + TILE > bottom:
+        for i in range(PIXELS):
+            x, y = left + i % TILE, top + i // TILE
+            if x < x0 or x >= right or y < y0 or y >= bottom:
+                state[i] = float32(-1.0)
 
 
 @inline
 def deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, channels, number, out, alpha, extra, held):
     """Write the channels and probes of a tile's state into the window's pictures."""
+    width, begin_x, end_x = right - x0, max(left, x0), min(left + TILE, right)
+    number_of_pixels = np.uintp(end_x - begin_x)
+    pixels, covers, more, stops = out.reshape(-1), alpha.reshape(-1), extra.reshape(-1), held.reshape(-1)
     for y in range(max(top, y0), min(top + TILE, bottom)):
-        for x in range(max(left, x0), min(left + TILE, right)):
-            p = (y - top) * TILE + x - left
-            alpha[y - y0, x - x0] = float32(1.0) - abs(state[p]) - stopped[p]
-            if hides:
-                held[y - y0, x - x0] = stopped[p]
-                held[y - y0, x - 2 * x0 + right] = float32(SAMPLES - left_over[p]) / float32(SAMPLES)
-            for c in range(channels):
-                out[y - y0, x - x0, c] = state[PIXELS * (1 + c) + p]
-            for k in range(number):
-                extra[y - y0, x - x0 + k * (right - x0)] = state[PIXELS * (1 + channels + k) + p]
+        # unsigned, so that no index is looked at as one that counts from the end
+        source, target = np.uintp((y - top) * TILE + begin_x - left), np.uintp((y - y0) * width + begin_x - x0)
+        for x in range(number_of_pixels):
+            covers[target + x] = float32(1.0) - abs(state[source + x]) - stopped[source + x]
+        for x in range(number_of_pixels):
+            for c in range(np.uintp(channels)):
+                pixels[(target + x) * np.uintp(channels) + c] = state[np.uintp(PIXELS) * (np.uintp(1) + c) + source + x]
+        for k in range(np.uintp(number)):
+            beside = np.uintp((y - y0) * width * number + begin_x - x0) + k * np.uintp(width)
+            for x in range(number_of_pixels):
+                more[beside + x] = state[np.uintp(PIXELS) * (np.uintp(1 + channels) + k) + source + x]
+        if hides:
+            beside = np.uintp((y - y0) * 2 * width + begin_x - x0)
+            for x in range(number_of_pixels):
+                stops[beside + x] = stopped[source + x]
+                stops[beside + np.uintp(width) + x] = float32(SAMPLES - left_over[source + x]) / float32(SAMPLES)
 
 
 @cache
@@ -190,7 +201,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
     limit = PIXELS * (planes - 1)
 
     def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra,
-                  hiding, held, middle_x, middle_y):
+                  hiding, held, middle_x, middle_y, wanted):
         """Tiles first..last of `columns` a row, the first of them at tile (tile_x, tile_y) of the image.
 
         The window is x0..right, y0..bottom in pixels of the image; out [h, w, C] and alpha [h, w] are the window's.
@@ -198,11 +209,14 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False,
         side by side; with trace [h, 2 w]: the final transmittance, and beside it the place in the tile's list of the last splat
         blended, or -1.  hiding: of a holdout, the depths of the tiles first..last (holdout.Occluder), or NOTHING; held [h, 2 w]: the light
         that it stops, and beside it which share of the pixel it covers; middle_x, middle_y: of the image, where planes begin.
+        wanted [tiles] bool: the tiles that are drawn; the pictures keep what they have in the others.
         """
         state, lines = np.empty(planes * PIXELS, np.float32), np.empty(groups.LINES, np.float32)
         left_over, stopped = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32)
         when, where = np.empty(0, np.int64), np.empty(0, np.int64)
         for tile in range(first, last):
+            if not wanted[tile]:
+                continue
             left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
             begin(state, left, top, x0, y0, right, bottom)
             if depths:

@@ -126,7 +126,7 @@ def _wait(p, z, opacity, i, waiting):
 
 @kernel
 def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra, hiding,
-              held, middle_x, middle_y, plane, core, end, probes):
+              held, middle_x, middle_y, wanted, plane, core, end, probes):
     """raster.rasteriser's kernel; plane: the column of attributes with which planes begin; core, end: the channels that are summed over the
     core (layout.py); probes: of each that is wanted the transmittance from which it takes a depth, or -1 for the count."""
     channels, hides, infinite = out.shape[2], len(held) > 0, float32(np.inf)
@@ -138,6 +138,8 @@ def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, start
     near, alphas = np.empty((PIXELS, WAITING), np.float32), np.empty((PIXELS, WAITING), np.float32)
     who = np.empty((PIXELS, WAITING), np.int32)
     for tile in range(first, last):
+        if not wanted[tile]:
+            continue
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
         x_middle, y_middle = left + 0.5 - middle_x, top + 0.5 - middle_y
         begin(state, left, top, x0, y0, right, bottom)

@@ -41,13 +41,13 @@ class Picture:
         return Buffers(self.channels[..., :layout.channels], self.alpha, sums, self.probes, self.held, self.covered)
 
 
-def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, tiles=None,
+def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, wanted=None,
               holdout: np.ndarray | None = None, plane: int | None = None, by_pixel: bool = False,
               core: tuple[int, int] = (0, 0)) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
     probes   which of layout.PROBES to compute
-    tiles    (first, last) of the runs of tiles to draw; None: all.  The others stay empty
+    wanted   [tiles] bool: which tiles to draw, the others stay empty; None: all
     holdout  triangles [F, 3, 3] float32 that hide splats
     plane    with a holdout or by_pixel, the first of the channels of the splats' planes (layout.Layout.plane)
     by_pixel each pixel sorts its splats by the depths of these planes
@@ -56,7 +56,7 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
     extra = np.empty((height, len(probes) * width), np.float32)
-    listing = TileLists.of(order, geometry, attributes, camera)
+    listing = TileLists.of(order, geometry, attributes, camera, wanted=wanted)
     occluder = None if holdout is None else Occluder.of(holdout, camera)
     held = np.zeros((height, 2 * width), np.float32) if occluder else NONE
     if by_pixel:
@@ -64,26 +64,26 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     else:
         kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None, core=core)
     middle = camera.width / 2, camera.height / 2
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, tiles, occluder, held, middle)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, wanted, occluder, held, middle)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},
                    *((held[:, :width], held[:, width:]) if occluder else ()))
 
 
-def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, tiles=None,
+def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, wanted=None,
            occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0)):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
     x0, y0, right, bottom = listing.window
     out = np.zeros((bottom - y0, right - x0, channels), np.float32)
     alpha = np.zeros((bottom - y0, right - x0), np.float32)
     total = listing.counts.shape[1]
+    wanted = np.ones(total, np.bool_) if wanted is None else wanted
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         rest = (*listing.frame, *lists, geometry, attributes, out, alpha, extra)
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
-        pieces = _tiles(first, last) if tiles is None else [
-            piece for a, b in tiles if a < last and b > first for piece in _tiles(max(a, first), min(b, last))]
-        run(lambda a, b, rest=rest: kernel(a, b, *rest, occluder.depths(a, b) if occluder else raster.NOTHING, held, *middle),
-            pieces, share)
+        pieces = [piece for piece in _tiles(first, last) if wanted[slice(*piece)].any()]
+        hiding = occluder.depths if occluder else lambda *_: raster.NOTHING
+        run(lambda a, b, rest=rest, hiding=hiding: kernel(a, b, *rest, hiding(a, b, wanted), held, *middle, wanted), pieces, share)
     return out, alpha, lists
 
 

@@ -29,15 +29,16 @@ class TileLists:
     counts: np.ndarray
 
     @classmethod
-    def of(cls, order, geometry, attributes, camera: Camera, tile: int = raster.TILE) -> TileLists:
+    def of(cls, order, geometry, attributes, camera: Camera, tile: int = raster.TILE, wanted=None) -> TileLists:
         """The tile lists of splats in the given order: order [V] int32, geometry [M, 5], attributes [M, 6 + C] (raster.py).
 
-        tile: pixels of its side, a power of two
+        tile    pixels of its side, a power of two
+        wanted  [tiles] bool, of which there are lists; None: of all
         """
         x0, y0, width, height = camera.window
         tile_x, tile_y = x0 // tile, y0 // tile
         grid = (tile_x, tile_y, (x0 + width - 1) // tile - tile_x + 1, (y0 + height - 1) // tile - tile_y + 1)
-        return cls((x0, y0, x0 + width, y0 + height), grid, *list_spans(order, geometry, attributes, grid, tile))
+        return cls((x0, y0, x0 + width, y0 + height), grid, *list_spans(order, geometry, attributes, grid, tile, wanted))
 
     def bands(self, limit: int) -> list[tuple[int, int]]:
         """Runs of tiles, whole rows of them, with at most `limit` entries each (one row at least)."""
@@ -56,15 +57,16 @@ class TileLists:
         return (self.grid[2], *self.window, *self.grid[:2])
 
 
-def list_spans(order, geometry, attributes, grid, tile):
+def list_spans(order, geometry, attributes, grid, tile, wanted=None):
     """Runs of tiles for each segment of the sorted splats (tiles.spans), and how many splats of it each tile has.
 
-    grid: first tile in x and y, columns, rows; tile: pixels of a tile's side.  Returns the segments' runs and counts [segments, tiles]
-    int64.
+    grid: first tile in x and y, columns, rows; tile: pixels of a tile's side; wanted: as in TileLists.of().  Returns the segments' runs
+    and counts [segments, tiles] int64.
     """
     pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
     counts = np.zeros((max(len(pieces), 1), grid[2] * grid[3]), np.int64)
-    return run(lambda s, first, last: tiles.spans(first, last, order, geometry, attributes, *grid, tile.bit_length() - 1, counts[s]),
+    rest = (order, geometry, attributes, *grid, tile.bit_length() - 1, tiles.which_tiles(wanted, *grid[2:]))
+    return run(lambda s, first, last: tiles.spans(first, last, *rest, counts[s]),
                [(s, *piece) for s, piece in enumerate(pieces)]), counts
 
 

@@ -36,16 +36,30 @@ def grown(array, more=0):
     return larger
 
 
+def which_tiles(wanted, columns: int, rows: int):
+    """For spans(), which tiles of a grid are wanted [tiles] bool, or None for all: how many of them lie above and left of a tile's corner
+    [rows + 1, columns + 1], and for each tile the first one from it on and the last one up to it (three int32 arrays, empty for all)."""
+    if wanted is None:
+        return np.empty((0, 0), np.int32), np.empty(0, np.int32), np.empty(0, np.int32)
+    number = np.arange(len(wanted))
+    sums = np.zeros((rows + 1, columns + 1), np.int32)
+    sums[1:, 1:] = wanted.reshape(rows, columns).cumsum(0).cumsum(1)
+    after = np.minimum.accumulate(np.where(wanted, number, len(wanted))[::-1])[::-1]
+    return sums, after.astype(np.int32), np.maximum.accumulate(np.where(wanted, number, -1)).astype(np.int32)
+
+
 @kernel
-def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, counts):
+def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, wanted, counts):
     """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
-    The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them, of 2^shift pixels.  counts [columns * rows] counts
-    the splats of each tile.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays.
+    The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them, of 2^shift pixels.  wanted: which of these get lists,
+    as which_tiles() tells.  counts [columns * rows] counts the splats of each tile.  Returns (splat, first tile, tile after the last) of
+    every run, three int32 arrays.
     """
     splat = np.empty(2 * (last - first) + 16, np.int32)
     begin, end = np.empty_like(splat), np.empty_like(splat)
-    n, tile = 0, 1 << shift
+    n, tile, (sums, after, before) = 0, 1 << shift, wanted
+    some = len(after) > 0
     # from here on in pixels from the centre of the first tile's first pixel
     right_most, bottom_most = columns * tile - 1.0, rows * tile - 1.0
     for k in range(first, last):
@@ -59,6 +73,8 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
         if not (box_left <= box_right and box_top <= box_bottom):
             continue
         left, right, top, bottom = _tile(box_left, shift), int(box_right) >> shift, _tile(box_top, shift), int(box_bottom) >> shift
+        if some and sums[bottom + 1, right + 1] - sums[top, right + 1] == sums[bottom + 1, left] - sums[top, left]:
+            continue
         exact = (right - left) * (bottom - top) >= EXACT
         a, b, c, square, peak = 0.0, 0.0, 0.0, 0.0, 0.0
         if exact:
@@ -68,7 +84,10 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
         if n + bottom - top >= len(splat):
             splat, begin, end = grown(splat, bottom - top), grown(begin, bottom - top), grown(end, bottom - top)
         for row in range(top, bottom + 1):
-            if exact:
+            one, other = row * columns + left, row * columns + right
+            if some:
+                one, other = after[one], before[other]
+            if exact and one < other:
                 # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
                 low = row * tile - my
                 high = low + (tile - 1)
@@ -78,10 +97,12 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
                 x1 = min(mx + (math.sqrt(max(square - (c * y) ** 2, 0.0)) - b * y) * a + MARGIN, box_right)
                 if not x0 <= x1:
                     continue
-                left, right = _tile(x0, shift), int(x1) >> shift
-            if left > right:
+                one, other = max(one, row * columns + _tile(x0, shift)), min(other, row * columns + (int(x1) >> shift))
+                if some and one <= other:
+                    one, other = after[one], before[other]
+            if one > other:
                 continue
-            splat[n], begin[n], end[n] = i, row * columns + left, row * columns + right + 1
+            splat[n], begin[n], end[n] = i, one, other + 1
             for touched in range(begin[n], end[n]):
                 counts[touched] += 1
             n += 1
