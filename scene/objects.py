@@ -15,6 +15,7 @@ from mathutils import Matrix
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.formats.sequences import place_of
+from ..fastgs_blender.model.chapters import Chapters
 from ..fastgs_blender.model.gaussians import Clip
 from ..fastgs_blender.model.sequence import FreeClip, Sequence, Source
 from ..fastgs_blender.util.identity import FileIdentity, status_of
@@ -147,14 +148,15 @@ def load_one_model(obj: bpy.types.Object, done: str) -> fg.GaussianModel:
     path = abspath(obj)
     model = load_model(path)
     if not isinstance(model, fg.GaussianModel):
-        raise fg.FastGSError(f"{path}: Gaussians of a sequence cannot be {done}; turn it into one model with fastgs convert.")
+        what = "clip in chapters" if isinstance(model, Chapters) else "sequence"
+        raise fg.FastGSError(f"{path}: Gaussians of a {what} cannot be {done}; turn it into one model with fastgs convert.")
     return model
 
 
 def is_sequence(obj: bpy.types.Object) -> bool:
-    """Whether an object shows a sequence, as far as is known without reading its file."""
+    """Whether an object shows a model of its own on each frame, as far as is known without reading its file."""
     entry = _entries.get(abspath(obj))
-    return entry is not None and isinstance(entry.model, Sequence)
+    return entry is not None and isinstance(entry.model, Sequence) and not isinstance(entry.model, Chapters)
 
 
 def clip_of(obj: bpy.types.Object) -> Clip:

@@ -13,6 +13,7 @@ import numpy as np
 from .. import fastgs_blender as fg
 from ..fastgs_blender.formats.web import Sound, cannot_play, sound_of
 from ..fastgs_blender.formats.web.page import PageObject
+from ..fastgs_blender.model.chapters import Chapters
 from ..fastgs_blender.rendering.instances import Instance
 from . import camera as cameras
 from . import holdout, joins, lamps, objects, snapshot, unshown, world
@@ -72,6 +73,10 @@ def _held(track: list[Instance | None], first: Instance) -> list[Instance]:
 def _playable(path: str) -> fg.GaussianModel:
     """The model of a file; raises FastGSError where a page cannot play it."""
     model = objects.load_model(path)
+    if isinstance(model, Chapters):
+        if not model.one_time:
+            raise fg.FastGSError("its chapters have motion of their own, and a page plays one model; export the models that it is made of.")
+        model = model.whole()
     if not isinstance(model, fg.GaussianModel):
         raise fg.FastGSError("it shows a sequence, and a page plays models; make one of it with fastgs convert.")
     reason = cannot_play(model)

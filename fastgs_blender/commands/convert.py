@@ -76,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
     if frames is not None:
         note_frames_outside(source, frames)
     lines: list[str] = []
-    held = _count(model)
+    held = len(model)
     page = web_page.is_page(targets[0])
     packs = bool(args.compress) or page
     total = PARTS * len(targets) if packs or len(targets) > 1 else 0
@@ -101,7 +101,7 @@ def run(args: argparse.Namespace) -> None:
                     else:
                         formats.save(result, target, args.compress, partial(_move, bar, done))
                 bar.to((done + 1) * PARTS)
-                held = _count(formats.open_source(target) if args.compress and not page else result)  # compression leaves Gaussians out
+                held = len(formats.open_source(target) if args.compress and not page else result)  # compression leaves Gaussians out
                 lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
     finally:  # once the bar is away
         for line in lines if not (args.json or args.quiet) else ():
@@ -134,10 +134,6 @@ def _joined(source: Source, args: argparse.Namespace) -> Chapters:
     given = [source, *(formats.open_source(path) for path in args.then)]
     models = [each if isinstance(each, Chapters) else _one_model(each) for each in given]
     return chapters(*models, frames=FRAMES if args.chapters is None else args.chapters)  # type: ignore[arg-type]
-
-
-def _count(source: Source) -> int:
-    return getattr(source, "total", len(source))
 
 
 def _move(bar: Progress, done: int, share: float) -> None:

@@ -27,6 +27,8 @@ from .shared import PROBLEMS, human_bytes, is_run, note, print_json, say, say_ta
 LONG = 100
 """Characters of a record of the model's origin that is shown by --all alone."""
 CAPTURE_FILES = (".json", ".npy", ".txt", ".xml")
+EACH_FRAME = {"basis": "a model for each frame", "terms": 0, "band_limit_hz": None}
+"""The motion of a sequence."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -110,20 +112,23 @@ def describe(path: str | Path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
     from ..formats.sequences import settled, stored_bytes
+    from ..model.chapters import Chapters
     from ..model.framing import bounds
 
     path = settled(Path(path))
     file_format = formats.identify(path)
     source = formats.open_source(path)
     model, _ = source.moment(0.0)
+    long = source if isinstance(source, Chapters) else None
     clip, low, high = source.clip, *bounds(model)
     return {
         "file": str(path),
         "format": getattr(file_format, "name", str(file_format)),
         "file_bytes": 0 if path.is_dir() or formats.FILES.sniff(b"", path) else stored_bytes(path),
-        "gaussians": len(model),
+        "gaussians": len(long or model),
+        "chapters": len(long.chapters) if long else None,
         "memory_bytes": model.nbytes,
-        "motion": _basis(model.basis, clip) if source is model else {"basis": "a model for each frame", "terms": 0, "band_limit_hz": None},
+        "motion": _basis(model.basis, clip) if source is model or long else EACH_FRAME,
         "rotation": _basis(model.rotation_basis, clip),
         "temporal_opacity": model.temporal_kind.name,
         "appearance": _appearance(model.appearance),
@@ -162,7 +167,7 @@ def _rows(facts: dict, everything: bool) -> tuple[list[tuple[str, object]], bool
     lines = [
         ("file", facts["file"]),
         ("format", f"{facts['format']}, {sizes}"),
-        ("Gaussians", f"{facts['gaussians']:,}".replace(",", " ")),
+        ("Gaussians", f"{facts['gaussians']:,}".replace(",", " ") + (f", in {n} chapters" if (n := facts["chapters"]) else "")),
         ("motion", _motion_text(facts["motion"])),
         ("rotation", _motion_text(facts["rotation"])),
         ("opacity", facts["temporal_opacity"]),

@@ -4,8 +4,9 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+from ..model.chapters import Chapters
 from ..util.errors import FastGSError
-from . import identify, load, save
+from . import identify, load, open_source, save
 from .native import Native
 
 
@@ -19,5 +20,6 @@ def annotate(path: str | Path, target: str | Path | None = None, **known: Any) -
     if not isinstance(identify(path), Native) or target.suffix.lower() not in Native.extensions:
         raise FastGSError(f"{target if target != path else path}: the backdrop, cameras and a good view are kept in {Native.name} files; "
                           "convert the model to one (fastgs convert), then store them there.")
-    model = load(path)
-    save(replace(model, surroundings=replace(model.surroundings, **known)), target)
+    source = open_source(path)
+    around = replace(source.surroundings, **known)
+    save(source.with_surroundings(around) if isinstance(source, Chapters) else replace(load(path), surroundings=around), target)

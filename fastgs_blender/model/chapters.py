@@ -5,6 +5,8 @@ A chapter is a run of frames.  The Gaussians of a clip lie in pieces, and each p
 is made of the pieces that it shows, in their order.  What always stays lies in a piece of all chapters, which is read once.  So memory does
 not grow with the clip.  cutting.py makes such clips of models, formats/chaptered.py reads and writes them.
 """
+from __future__ import annotations
+
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from weakref import WeakKeyDictionary
@@ -15,7 +17,10 @@ from ..util.errors import FastGSError
 from .gaussians import Clip, GaussianModel, unchanging
 from .joining import concatenate
 from .sequence import ENDS, Sequence, ahead, cache
+from .surroundings import Surroundings
 
+RECENT = 32
+"""Moments after which a chapter is forgotten of which none of them was: objects may show a clip at several times."""
 _clips: WeakKeyDictionary[GaussianModel, object] = WeakKeyDictionary()
 
 
@@ -32,6 +37,10 @@ class Piece:
     count: int
     size: int
     read: Callable[[], GaussianModel]
+
+    def shows(self, i: int) -> bool:
+        """Whether the i-th chapter shows it."""
+        return self.first <= i < self.first + self.count
 
 
 @dataclass(frozen=True, eq=False)
@@ -64,9 +73,10 @@ class Chapters(Sequence):
     def __init__(self, clip: Clip, chapters: list[Chapter], pieces: list[Piece], state: Callable[[], object] = lambda: None,
                  about: str = "the clip") -> None:
         self.chapters, self.pieces = chapters, pieces
-        self.total = sum(piece.size for piece in pieces)
         self._shown, self._looked, self._clip = 0.0, (-1, 0), object()
+        self._moments, self._used = 0, {0: 0}
         super().__init__(clip, np.array([chapter.begin for chapter in chapters]), self._made, lambda i: state(), about)
+        self._count = sum(piece.size for piece in pieces)
 
     def moment(self, t: float, hold: bool = False, read: bool = True) -> tuple[GaussianModel, float]:
         """As Sequence.moment(); exact between frames, which `hold` does not change."""
@@ -82,7 +92,7 @@ class Chapters(Sequence):
 
     def shown(self, i: int) -> list[int]:
         """The numbers of the pieces that the i-th chapter shows."""
-        return [k for k, piece in enumerate(self.pieces) if piece.first <= i < piece.first + piece.count]
+        return [k for k, piece in enumerate(self.pieces) if piece.shows(i)]
 
     @property
     def one_time(self) -> bool:
@@ -97,10 +107,17 @@ class Chapters(Sequence):
                               "open it with open_source().")
         return self._together(0, [piece.read() for piece in self.pieces])
 
+    def with_surroundings(self, around: Surroundings) -> Chapters:
+        """The same clip with other surroundings."""
+        kinds = {chapter.kinds: replace(chapter.kinds, surroundings=around) for chapter in self.chapters}
+        chapters = [replace(chapter, kinds=kinds[chapter.kinds]) for chapter in self.chapters]
+        return Chapters(self.clip, chapters, self.pieces, lambda: self._state(0), self.about)
+
     def _made(self, i: int) -> GaussianModel:
         found = self._together(i, [self._piece(i, k) for k in self.shown(i)])
         unchanging(found, declared=True)
-        _clips[found] = self._clip if self.one_time else found
+        if self.one_time:
+            _clips[found] = self._clip
         return found
 
     def _piece(self, i: int, k: int) -> GaussianModel:
@@ -118,15 +135,23 @@ class Chapters(Sequence):
     def _read_ahead(self, i: int, t: float) -> None:
         """Let the chapter be read that comes next if playback goes on as it does."""
         looked = i, 1 if t >= self._shown else -1
-        self._shown = t
+        self._shown, self._moments = t, self._moments + 1
+        self._used[i] = self._moments
         if looked != self._looked and len(self.chapters) > 1:
-            self._looked = looked
+            after = sum(looked) % len(self.chapters)
+            self._looked, self._used[after] = looked, self._moments
             for task in self._ahead:
                 task.cancel()
-            self._ahead = [ahead(self.frame, sum(looked) % len(self.chapters))]
+            for old in [k for k, moment in list(self._used.items()) if moment < self._moments - RECENT]:
+                del self._used[old]
+                cache.drop((self._owner, old))
+                for k in self.shown(old):
+                    if not any(self.pieces[k].shows(other) for other in self._used):
+                        cache.drop((self._owner, "piece", k))
+            self._ahead = [ahead(self.frame, after)]
 
     def __repr__(self) -> str:
-        return f"Chapters({self.about}, {len(self.chapters)} chapters, {self.total} Gaussians, {self.clip!r})"
+        return f"Chapters({self.about}, {len(self.chapters)} chapters, {len(self)} Gaussians, {self.clip!r})"
 
 
 def one_clip(a: GaussianModel, b: GaussianModel) -> bool:

@@ -84,6 +84,11 @@ class Cache:
             while total > self.limit and len(self._models) > 1:
                 total -= self._models.popitem(last=False)[1][1].nbytes
 
+    def drop(self, key: tuple) -> None:
+        """Forget the model of a key."""
+        with self._lock:
+            self._models.pop(key, None)
+
     def nbytes(self, owner: int | None = None) -> int:
         """Bytes of all models, or of those of one owner."""
         with self._lock:
@@ -146,7 +151,7 @@ class Sequence:
         self.surroundings = first.surroundings
 
     def __len__(self) -> int:
-        """The number of Gaussians on the first frame."""
+        """The number of Gaussians on the first frame, and of Chapters in all."""
         return self._count
 
     @property

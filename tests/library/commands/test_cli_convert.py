@@ -105,3 +105,23 @@ def test_what_a_killed_conversion_left_goes_with_the_next_one(names, rng, make_m
     assert done.returncode == 0, done.stderr
     left = {path: path.read_bytes() for path in out.rglob("*") if path.is_file() and path not in {out / name for name in names}}
     assert left == before and all((out / name).stat().st_size > 1000 for name in names) and not list(out.glob(".fastgs-*.tmp"))
+
+
+def test_long_clips_in_chapters(run, rng, make_model, tmp_path):
+    """A model in chapters, two models after each other, one model again; info, render and frames of them."""
+    model = make_model(rng, 40, basis="line", temporal="window", clip=fg.Clip(50, 25.0))
+    one, two, long, both = (tmp_path / f"{name}.safetensors" for name in ("one", "two", "long", "both"))
+    fg.save(model, one)
+    fg.save(make_model(rng, 30, basis="cosine", clip=fg.Clip(30, 25.0)), two)
+    assert run("convert", one, long, "--chapters", "10")[0] == 0 and len(fg.open_source(long).chapters) == 5
+    code, text, _ = run("convert", long, both, "--then", two, "--json")
+    assert code == 0 and json.loads(text)["gaussians"] == 70 and fg.open_source(both).clip == fg.Clip(80, 25.0)
+    facts = json.loads(run("info", both, "--json")[1])
+    assert (facts["gaussians"], facts["chapters"], facts["clip"]["frame_count"]) == (70, 6, 80) and "in 6 chapters" in run("info", both)[1]
+    assert run("convert", long, tmp_path / "again.safetensors")[0] == 0
+    assert isinstance(fg.open_source(tmp_path / "again.safetensors"), fg.GaussianModel)
+    assert run("convert", both, tmp_path / "f_####.ply", "--at", "0:79:60")[0] == 0 and (tmp_path / "f_0060.ply").is_file()
+    code, _, said = run("convert", both, tmp_path / "page.html")
+    assert code == 2 and "chapters" in said
+    code, _, said = run("convert", one, tmp_path / "m.ply", "--chapters")
+    assert code == 2 and ".safetensors" in said

@@ -43,7 +43,7 @@ def test_pictures_are_those_of_the_whole_model(rng, tmp_path, basis, temporal, a
     model = long_model(rng, basis=basis, rotation_basis=basis, temporal=temporal, appearance=appearance)
     source = opened(fg.chapters(model, frames=10), tmp_path / "m.safetensors")
     whole = fg.load(tmp_path / "m.safetensors")
-    assert source.clip == model.clip and len(source.chapters) == 12 and source.total == len(whole) == len(model)
+    assert source.clip == model.clip and len(source.chapters) == 12 and len(source) == len(whole) == len(model)
     same_pictures(whole, source)
     same_pictures(model, source, exactly=False)
     if temporal == "window":
@@ -123,7 +123,7 @@ def test_what_stays_is_stored_once(rng, tmp_path):
                 one = fg.render(part, CAMERA, f / 60)["rgb"]
                 np.testing.assert_allclose(fg.render(source, CAMERA, (60 * i + f) / (60 * times))["rgb"], one, atol=1e-6)
     assert sizes[1] < 4 * sizes[0]
-    assert source.total == 2000 + 10 * 400
+    assert len(source) == 2000 + 10 * 400
 
 
 def test_models_follow_each_other_in_their_own_time_and_kinds(rng, tmp_path):
@@ -169,6 +169,16 @@ def test_what_cannot_be_written_and_what_has_changed(rng, tmp_path):
     fg.save(fg.chapters(model, frames=20), tmp_path / "m.safetensors")
     with pytest.raises(fg.FastGSError, match="changed"):
         source.frame(5)
+
+
+def test_surroundings_are_written_into_a_clip_in_chapters(rng, tmp_path):
+    from fastgs_blender.formats.annotate import annotate
+
+    source = opened(fg.chapters(long_model(rng), frames=30), tmp_path / "m.safetensors")
+    annotate(tmp_path / "m.safetensors", backdrop=fg.Backdrop((0, 0, 0), 50.0))
+    after = fg.open_source(tmp_path / "m.safetensors")
+    assert isinstance(after, fg.Chapters) and len(after.chapters) == len(source.chapters) == 4
+    assert after.surroundings.backdrop == after.frame(2).surroundings.backdrop == fg.Backdrop((0, 0, 0), 50.0)
 
 
 def test_damaged_files(rng, tmp_path):
