@@ -97,7 +97,7 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     if settings.light is not None:
         still = exposure is None and not settings.by_pixel  # what hides what is found by the splats' centres
         lit = settings.light.lit(instances, camera, kernels, progress, any(entry.light for entry in entries), still)
-        instances = [each.viewed(camera) for each in lit]
+        instances = [each.viewed(camera) for each in lit if len(each.model)]
     blended, blurred = None, None
     drawn = bool(instances) or holdout is not None
     sharpen = partial(sharpened, instances=instances, camera=camera, settings=settings, backend=kernels, holdout=holdout, exposure=exposure)

@@ -41,7 +41,8 @@ def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -
     a, b, c = shown.scale
     least, most = np.minimum(a, b), np.maximum(a, b)
     least, middle, most = np.minimum(least, c), np.maximum(least, np.minimum(most, c)), np.maximum(most, c)
-    weight = opacities_at(instance.model, instance.t)[index] * (1 - least / middle) * middle * most
+    opacity = opacities_at(instance.model, instance.t)[index]
+    weight = opacity * (opacity >= instance.model.raster.alpha_cut) * (1 - least / middle) * middle * most
     if len(instance.hidden):
         weight = weight * ~instance.hidden[index]
     weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)

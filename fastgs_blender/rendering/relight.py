@@ -38,8 +38,6 @@ from .ways import Side, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
-LEAST = 3e-4
-"""Gaussians that have less weight than this in each pixel need no light of their own."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
 
@@ -70,19 +68,19 @@ class SceneLight:
 
     def lit(self, instances: Sequence[Instance], camera: Camera, backend: Any,
             progress: Callable[[float], None] = lambda share: None, passes: bool = False, still: bool = False) -> list[Instance]:
-        """The instances with the colours that they have in this light before a camera; those that take none are as they were.
+        """The instances with the colours that they have in this light before a camera, those that take none with their own.
 
         backend  a loaded backend (util/backends.py)
         passes   whether all of them get a Shading, too, which the passes of lamps read (shading.py)
-        still    whether the picture shows them at their own time through the middle of the lens alone: the colours of Gaussians that it
-                 does not show are then not computed
+        still    whether the picture shows them at their own time through the middle of the lens alone: Gaussians that it does not show
+                 are then left out
         """
         wanted = [number for number, each in enumerate(instances) if (passes or each.settings.takes_light) and len(each.model)]
         if not wanted:
             return list(instances)
         out = list(instances)
         viewed = {number: each.viewed(camera) for number, each in enumerate(instances) if len(each.model)}
-        marks = backend.contributing(list(viewed.values()), camera, LEAST) if still else [None] * len(viewed)
+        marks = backend.contributing(list(viewed.values()), camera) if still else [None] * len(viewed)
         shows = dict(zip(viewed, marks, strict=True))
         surfaces = [_Surface(viewed[number], backend, shows[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
@@ -90,18 +88,20 @@ class SceneLight:
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
         drops = bool((arriving[:, 1] < arriving[:, 0]).any())
         for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=3)):
-            if instances[number].settings.takes_light or drops:
-                out[number] = _lit(instances[number], surface, light, drops, backend)
+            whole = len(surface.index) == len(instances[number].model)
+            out[number] = instances[number] if whole else instances[number].part(surface.index)
+            if out[number].settings.takes_light or drops:
+                out[number] = _lit(out[number], surface, light, drops, backend)
             if passes:
                 near = contact(self.meshes, surface.position.T, surface.normal.T, self.reach, self.bias, backend)
-                out[number] = replace(out[number], shading=shading_of(len(instances[number].model), surface.index, light, near))
+                out[number] = replace(out[number], shading=shading_of(light, near))
         return out
 
     def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
         total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
-        ways = Ways(backend, casting, self.meshes)
+        ways = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp, _ in self.lamps) == 1)
         for number, (lamp, lights) in enumerate(self.lamps):
             count, among = len(lamp.light.points), spots.among(lights)
             shares = np.stack([lamp.share(k, spots.position, spots.normal) * among for k in range(count)]) / count
@@ -200,20 +200,19 @@ def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, 
     lamps = settings.lamp_light / np.pi * surface.unlit(settings.unlit, backend).T
     free = captured + lamps * (bare - shadows * (bare - splats))
     gain = captured * (1 - shadows * (1 - past)) + lamps * (bare - shadows * (bare - all_))
-    out, part = instance, instance.part(surface.index) if drops else None
+    out = bright = instance
     if settings.takes_light:
-        look, (features, *bright) = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
-        every = np.zeros((len(instance.model), features.shape[1]), np.float32)
-        every[surface.index] = features
-        out = replace(instance, model=replace(instance.model, features=every, appearance=look), origin=instance.source, painted=True)
-        if part:
-            part = replace(part, model=replace(part.model, features=bright[0], appearance=look), painted=True)
-    if not part:
+        look, features = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
+        out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=look), origin=instance.source, painted=True)
+                      for each in features)
+        bright = rest[0] if drops else out
+    if not drops:
         return out
     of_meshes, of_splats = (shares_of(light[:, 0], light[:, stage]) for stage in (1, 3))
     takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
     numbers = np.concatenate([takes, of_meshes[:, None], of_splats[:, None]], 1).T.astype(np.float32)
-    return replace(out, taken=Taken(part, numbers, surface.normal.T, np.flatnonzero(on_edge(of_meshes).any(0))))
+    wide = np.sqrt((np.tensordot(surface.instance.camera.world_to_camera[2, :3], surface.axes, 1) ** 2).sum(0))
+    return replace(out, taken=Taken(bright, numbers, surface.normal.T, wide, bool(on_edge(of_meshes).any())))
 
 
 class _Surface:
@@ -224,8 +223,13 @@ class _Surface:
     """
 
     def __init__(self, instance: ViewedInstance, backend: Any, shows: np.ndarray | None):
-        shown = Shown.all_of(instance, backend)
-        rows = np.arange(len(shown.index)) if shows is None else np.flatnonzero(shows[shown.index])
+        if shows is None:
+            shown = Shown(instance, np.arange(len(instance.model)), backend)
+            rows = shown.index
+        else:
+            shown = Shown.all_of(instance, backend)
+            rows = np.flatnonzero(shows[shown.index])
+        self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
         spread = shown.spread[..., rows]
         self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
         self.axes = (instance.placement[:3, :3] @ spread.reshape(3, -1)).reshape(spread.shape)

@@ -19,7 +19,7 @@ from .unlit import captured_light
 
 @dataclass(frozen=True, eq=False)
 class Shading:
-    """Of the N Gaussians of an instance; those that the camera does not show have zeros, and ones for what is a factor.
+    """Of the N Gaussians of an instance.
 
     lights   [L, N, 3]  the light of each lamp on white paint, scene linear, with nothing in its way
     meshes   [L, N]     the share of it that meshes let through
@@ -33,18 +33,13 @@ class Shading:
     contact: np.ndarray
 
 
-def shading_of(count: int, index: np.ndarray, arriving: np.ndarray, contact: np.ndarray) -> Shading:
-    """The Shading of an instance of `count` Gaussians.
+def shading_of(arriving: np.ndarray, contact: np.ndarray) -> Shading:
+    """The Shading of an instance.
 
-    index     [M] those that are shown
-    arriving  [L, 4, 3, M] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with both, with splats
+    arriving  [L, 4, 3, N] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with both, with splats
     """
-    lamps = len(arriving)
-    out = Shading(np.zeros((lamps, count, 3)), *np.ones((2, lamps, count)), np.ones(count))
-    out.lights[:, index], out.contact[index] = arriving[:, 0].transpose(0, 2, 1) / np.pi, contact
-    for shares, stage in ((out.meshes, 1), (out.both, 2)):
-        shares[:, index] = shares_of(arriving[:, 0], arriving[:, stage])
-    return out
+    lights = (arriving[:, 0] / np.pi).transpose(0, 2, 1)
+    return Shading(lights, *(shares_of(arriving[:, 0], arriving[:, stage]) for stage in (1, 2)), contact)
 
 
 def shares_of(bare: np.ndarray, left: np.ndarray) -> np.ndarray:

@@ -29,14 +29,14 @@ from .exposure import Exposure
 from .instances import Instance, ViewedInstance
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Ways
+from .ways import Ways, without_colours
 
 PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
 WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
 """These places, in pixels from its middle: no two in one row or column."""
-REACH = 3.0
-"""Standard deviations that Gaussians count as large."""
+COARSE = 4
+"""Pixels of the side of the squares that are looked at first, to find where edges are."""
 SHARP = 1e-3
 """Shares of light from 0 and 1 on that are those of an edge."""
 FAINT = 1e-3
@@ -59,13 +59,15 @@ class Taken:
     numbers  [M, NUMBERS, L] of each lamp: which share of the light in each channel meshes can take away; which share of the lamp's light
              comes past the meshes, and past the splats
     normal   [M, 3] in the world
-    edges    [E] those of the M on which a shadow's edge lies
+    wide     [M] standard deviations along the view
+    edges    whether a shadow's edge lies on any of them
     """
 
     bright: Instance
     numbers: np.ndarray
     normal: np.ndarray
-    edges: np.ndarray
+    wide: np.ndarray
+    edges: bool
 
 
 def on_edge(past: np.ndarray) -> np.ndarray:
@@ -82,7 +84,7 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
     averaged  whether it is the average over the exposure; else it is its middle
     """
     shadows = [[blended.sums.get(name + (f"_{level + 1}" if level else "")) for name in ("mesh_shadow", "lamp_shadow")]
-               for level in range(max((each.taken.numbers.shape[2] for each in instances if each.taken), default=0))]
+               for level in range(max((each.taken.numbers.shape[2] for each in instances if each.taken and each.taken.edges), default=0))]
     coloured = blended.rgb is not None and any(each.settings.shadows > 0 for each in instances)
     if settings.light is None or (not coloured and all(sums is None for pair in shadows for sums in pair)):
         return blended
@@ -139,67 +141,95 @@ class _Drawn:
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
                  backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
-        eye = _around_edges(instances, camera)
+        wide, shares = Quantity(2, _wide, core=True), Quantity(lamps, lambda shown: _numbers(shown, lamps)[:, 3 * lamps:4 * lamps])
+        coarse = _coarse(camera)
+        plain = [replace(each, model=without_colours(each.model)) for each in instances]
+        _, alpha, sums = self._sums(plain, coarse, {"wide": wide, "shares": shares}, True)
+        at = np.nonzero(_asked(sums["shares"], alpha, 2))
+        at = _rows(at, np.flatnonzero(_one(coarse, sums, alpha, at, light.bias)[0] > SHARP))
+        eye = _around(at, coarse, camera)
         if eye is None:
             return
-        self.eye = eye
-        quantities = {"near": Quantity(3, _near, core=True), "numbers": Quantity(NUMBERS * lamps, lambda shown: _numbers(shown, lamps)),
-                      "normal": Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
-                                         np.zeros((len(shown.index), 3)))}
-        rgb, alpha, sums = self._sums(instances, quantities, True)
+        self._eye = eye
+        of_lamps = Quantity(NUMBERS * lamps, lambda shown: _numbers(shown, lamps))
+        normals = Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
+                           np.zeros((len(shown.index), 3)))
+        rgb, alpha, sums = self._sums(instances, eye, {"wide": wide, "numbers": of_lamps, "normal": normals}, True)
         numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
-        at = self._at = np.nonzero(_asked(numbers[..., 3, :], alpha))
-        if not len(at[0]):
+        at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
+        one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
+        rows = np.flatnonzero(one > SHARP)
+        if not len(rows):
             return
-        rgb, alpha, numbers, plane, near, normal = (array[at].astype(np.float64) for array in
-                                                    (rgb, alpha, numbers, sums["plane"], sums["near"], sums["normal"]))
+        self.one, x, y, plane, at = one[rows], x[rows], y[rows], plane[rows], _rows(at, rows)
+        rgb, alpha, numbers, normal = (array[at].astype(np.float64) for array in (rgb, alpha, numbers, sums["normal"]))
         numbers /= alpha[:, None, None]
-        x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), at[::-1], strict=True))
-        places = np.stack([_points(eye, plane / alpha[:, None], x + dx, y + dy) for dx, dy in WITHIN])
-        mean, wide = (near[:, :2] / np.maximum(near[:, 2:], 1e-30)).T
-        depth = (plane * np.stack([np.ones_like(x), x, y], 1)).sum(1) / alpha
+        places = np.stack([_points(eye, plane, x + dx, y + dy) for dx, dy in WITHIN])
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
-        self.pixels = at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0]
-        self.one = np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * light.bias), 0, 1) * (depth > eye.near)
+        self._at, self.pixels = at, (at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0])
         self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, 4]
         takes = (numbers[:, :3] * (1 - self.past)[:, None]).sum(2)
         self.light = scene_linear(rgb, alpha, space) * np.maximum(1 - takes, 0)
 
     def of(self, instances: list[ViewedInstance]) -> np.ndarray:
         """What its pixels look like with these instances, in light [P, 3]."""
-        rgb, alpha, _ = self._sums(instances, {}, False)
+        rgb, alpha, _ = self._sums(instances, self._eye, {}, False)
         return scene_linear(rgb[self._at], alpha[self._at], self.space)
 
-    def _sums(self, instances: list[ViewedInstance], quantities: dict[str, Quantity], planes: bool
+    def _sums(self, instances: list[ViewedInstance], eye: Camera, quantities: dict[str, Quantity], planes: bool
               ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Colour [h, w, 3], alpha [h, w], and the sums of quantities by name, around the edges."""
-        layout = Layout(instances, False, quantities, planes or self.holdout is not None, self.by_pixel)
-        drawn = self.backend.draw(instances, self.eye, layout, (), lambda share: None, holdout=self.holdout)
-        rgb, alpha = (self.backend.numpy(array) for array in (self.backend.colour(drawn, layout, self.eye), drawn.alpha))
+        """Colour [h, w, 3], alpha [h, w], and the sums of quantities by name, as a camera sees instances; planes: and the depth's, over the
+        core, and that of its plane."""
+        layout = Layout(instances, planes, quantities, planes or self.holdout is not None, self.by_pixel)
+        if planes:
+            layout.core = layout.core[0], layout.places["depth"].stop  # the depth comes right after what is summed over the core
+        drawn = self.backend.draw(instances, eye, layout, (), lambda share: None, holdout=self.holdout)
+        rgb, alpha = (self.backend.numpy(array) for array in (self.backend.colour(drawn, layout, eye), drawn.alpha))
         return rgb, alpha, {name: self.backend.numpy(array) for name, array in drawn.sums.items()}
 
 
-def _around_edges(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
-    """The camera with a window around the Gaussians on which edges lie; None where it sees none."""
-    low, high = np.full(2, np.inf), np.full(2, -np.inf)
-    for each in instances:
-        if each.taken:
-            middle, spread = Shown(each, each.taken.edges).pixels(each)
-            reach = REACH * each.settings.splat_scale * np.sqrt((spread * spread).sum(-1)) + BLOCK
-            good = np.isfinite(middle + reach).all(1)
-            low = np.minimum(low, (middle - reach)[good].min(0, initial=np.inf))
-            high = np.maximum(high, (middle + reach)[good].max(0, initial=-np.inf))
+def _coarse(camera: Camera) -> Camera:
+    """The camera with one pixel for each COARSE x COARSE."""
     x0, y0, width, height = camera.window
-    left, top = (max(int(np.clip(np.floor(v), -1e9, 1e9)), least) for v, least in zip(low, (x0, y0), strict=True))
-    right, bottom = (min(int(np.clip(np.ceil(v), -1e9, 1e9)), most) for v, most in zip(high, (x0 + width, y0 + height), strict=True))
+    left, top = x0 // COARSE, y0 // COARSE
+    whole = camera.stretched(*(-(-side // COARSE) for side in (camera.width, camera.height)))
+    return replace(whole, window=(left, top, -(-(x0 + width) // COARSE) - left, -(-(y0 + height) // COARSE) - top))
+
+
+def _around(at: tuple[np.ndarray, ...], coarse: Camera, camera: Camera) -> Camera | None:
+    """The camera with a window around rows and columns of a coarse one's, None where there are none."""
+    if not len(at[0]):
+        return None
+    across, down = (camera.width / coarse.width, camera.height / coarse.height)
+    x0, y0, width, height = camera.window
+    left, right = ((edge + coarse.window[0]) * across for edge in (at[1].min() - 1, at[1].max() + 2))
+    top, bottom = ((edge + coarse.window[1]) * down for edge in (at[0].min() - 1, at[0].max() + 2))
+    left, top, right, bottom = max(int(left), x0), max(int(top), y0), min(int(right), x0 + width), min(int(bottom), y0 + height)
     return replace(camera, window=(left, top, right - left, bottom - top)) if right > left and bottom > top else None
 
 
-def _near(shown: Shown) -> np.ndarray:
-    """Of each Gaussian its depth, its standard deviation along the view, and 1."""
-    along = np.tensordot(shown.instance.model_to_camera[2, :3], shown.spread, 1)
-    return np.stack([shown.view[:, 2], np.sqrt((along * along).sum(0)), np.ones(len(shown.index))], 1)
+def _rows(at: tuple[np.ndarray, ...], rows: np.ndarray) -> tuple[np.ndarray, ...]:
+    """Some of the pixels, by rows and columns."""
+    return tuple(axis[rows] for axis in at)
+
+
+def _one(eye: Camera, sums: dict[str, np.ndarray], alpha: np.ndarray, at: tuple[np.ndarray, ...], bias: float) -> tuple[np.ndarray, ...]:
+    """Of pixels [P], by rows and columns: whether each shows one surface, from 0 to 1; x and y from the image's middle; the surface's depth
+    as a plane [P, 3] over these."""
+    x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), at[::-1], strict=True))
+    near, core, plane = (sums[name][at].astype(np.float64) for name in ("depth", "wide", "plane"))
+    mean, wide = np.concatenate([near, core[:, :1]], 1).T / np.maximum(core[:, 1], 1e-30)
+    plane /= alpha[at][:, None]
+    depth = plane[:, 0] + plane[:, 1] * x + plane[:, 2] * y
+    return np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * bias), 0, 1) * (depth > eye.near), x, y, plane
+
+
+def _wide(shown: Shown) -> np.ndarray:
+    """Of each Gaussian its standard deviation along the view, and 1."""
+    taken = shown.instance.taken
+    wide = np.exp(shown.instance.model.scale[shown.index].max(1)) if taken is None else taken.wide[shown.index]
+    return np.stack([wide, np.ones(len(wide))], 1)
 
 
 def _numbers(shown: Shown, lamps: int) -> np.ndarray:
@@ -209,17 +239,16 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     return np.repeat([[0, 0, 0, 1, 1]], lamps, 1).repeat(len(shown.index), 0)
 
 
-def _asked(past: np.ndarray, alpha: np.ndarray) -> np.ndarray:
-    """Which pixels [h, w] lie in or beside a block of pixels with an edge, of sums of shares past meshes [h, w, L] and alpha [h, w]."""
+def _asked(past: np.ndarray, alpha: np.ndarray, block: int) -> np.ndarray:
+    """Which pixels [h, w] lie in or beside a block of so many pixels with an edge, of sums of shares past meshes [h, w, L] and alpha."""
     (height, width), there = alpha.shape, alpha > FAINT
-    rows, columns = -(-height // BLOCK), -(-width // BLOCK)
-    edge = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
-    blocks = np.zeros((rows * BLOCK, columns * BLOCK), bool)
-    blocks[:height, :width] = edge
-    blocks = np.pad(blocks.reshape(rows, BLOCK, columns, BLOCK).any((1, 3)), 1)
+    rows, columns = -(-height // block), -(-width // block)
+    blocks = np.zeros((rows * block, columns * block), bool)
+    blocks[:height, :width] = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
+    blocks = np.pad(blocks.reshape(rows, block, columns, block).any((1, 3)), 1)
     blocks = blocks[:-2] | blocks[1:-1] | blocks[2:]
     blocks = blocks[:, :-2] | blocks[:, 1:-1] | blocks[:, 2:]
-    return blocks.repeat(BLOCK, 0).repeat(BLOCK, 1)[:height, :width] & there
+    return blocks.repeat(block, 0).repeat(block, 1)[:height, :width] & there
 
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import RGB
+from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
 from .instances import Instance
 from .passing import BEHIND
@@ -42,11 +43,12 @@ class Ways:
     backend    a loaded backend (util/backends.py)
     instances  whose splats throw shadows
     meshes     triangles [F, 3, 3] float32 in the world that throw shadows, or None
+    once       whether they are looked at only once
     """
 
-    def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None):
+    def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None, once: bool = False):
         self.backend, self.meshes = backend, meshes
-        self.instances = [_bare(each, backend) for each in instances if len(each.model)]
+        self.instances = [_plain(each) if once else _bare(each, backend) for each in instances if len(each.model)]
 
     def sides(self, light: Any, points: np.ndarray) -> list[Side]:
         """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube."""
@@ -118,17 +120,26 @@ class Ways:
         return found
 
 
+def without_colours(model: GaussianModel) -> GaussianModel:
+    """A model all of whose Gaussians are black."""
+    return replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB())
+
+
+def _plain(instance: Instance) -> Instance:
+    """The instance without colours, which are nothing to shadows."""
+    return replace(instance, model=without_colours(instance.model))
+
+
 def _bare(instance: Instance, backend: Any) -> Instance:
-    """The instance as it is at its time, without those of its Gaussians that have faded away, and without colours, which are nothing to
-    shadows."""
+    """The same as it is at its time, without those of its Gaussians that have faded away."""
+    instance = _plain(instance)
     model = instance.model
     opacity = opacities_at(model, instance.t)
     index = np.flatnonzero(opacity >= model.raster.alpha_cut)
     place, turn = backend.posed(instance, index)
     scale = np.exp(model.scale[index].astype(np.float64))
     now = Slice(index, place, turn, scale, opacity[index], np.zeros((len(index), 3)), np.zeros((len(index), 3)))
-    bare = still(replace(model, features=np.zeros((len(model), 3), np.float32), appearance=RGB()), now)
-    return replace(instance.part(index, bare), t=0.0)
+    return replace(instance.part(index, still(model, now)), t=0.0)
 
 
 def _bounds(points: np.ndarray) -> np.ndarray:
