@@ -86,7 +86,7 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
     shadows = [[blended.sums.get(name + (f"_{level + 1}" if level else "")) for name in ("mesh_shadow", "lamp_shadow")]
                for level in range(max((each.taken.numbers.shape[2] for each in instances if each.taken and each.taken.edges), default=0))]
     coloured = blended.rgb is not None and any(each.settings.shadows > 0 for each in instances)
-    if settings.light is None or (not coloured and all(sums is None for pair in shadows for sums in pair)):
+    if not shadows or settings.light is None or (not coloured and all(sums is None for pair in shadows for sums in pair)):
         return blended
     space = "srgb" if {each.model.colour_space for each in instances} == {"srgb"} else "linear"
     bright = [replace(each.taken.bright, taken=each.taken).viewed(camera) if each.taken else each for each in instances]

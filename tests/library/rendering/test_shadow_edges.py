@@ -40,6 +40,10 @@ def test_an_edge_is_as_sharp_as_pixels(backend):
     assert np.array_equal(shaded, lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 0.3), backend=backend))
 
 
+def test_a_shadow_over_everything_has_no_edge():
+    assert lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 9.0)).max() < 1e-3
+
+
 def test_only_the_light_of_its_lamp_is_taken():
     """Of two lamps one is hidden; captured light stays by its own share."""
     side = Lamp(Light([(0, -6.0, 2.0)]), (30.0, 15.0, 3.0))
