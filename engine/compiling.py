@@ -10,6 +10,7 @@ import logging
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import bpy
@@ -18,7 +19,7 @@ from ..fastgs_blender.jobs.environment import hidden
 from ..fastgs_blender.kernels.cpu import cache
 
 log = logging.getLogger(__name__)
-TEXT = "FAST-GS compiles its renderer for this machine, once; this takes about half a minute"
+TEXT = "FAST-GS compiles its renderer for this machine, once; pictures can be made after some ten seconds"
 _process: subprocess.Popen | None = None
 
 # Compiled code refers to its modules by name, so they must have the names there that they have here.  What else the extension
@@ -47,6 +48,11 @@ def command() -> list[str]:
 def is_running() -> bool:
     """Whether kernels are being compiled just now."""
     return _process is not None and _process.poll() is None
+
+
+def is_first_due() -> bool:
+    """Whether what a first picture needs is being compiled just now; the rest follows behind it."""
+    return is_running() and not cache.has_first()
 
 
 def start() -> bool:
@@ -79,6 +85,12 @@ def wait(timeout: float | None = None) -> bool:
     if _process is not None:
         _process.wait(timeout)
     return cache.is_filled()
+
+
+def wait_for_first():
+    """Wait until a first picture can be made, or the compilation has ended."""
+    while is_first_due():
+        time.sleep(0.05)
 
 
 def stop():

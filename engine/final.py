@@ -58,9 +58,9 @@ def _render_layer(engine, depsgraph):
     instances, left_out = worker.run(lambda progress: now.shown.load(), engine.test_break, status.progress)
     _tell(engine, layer, now.shown, left_out)
     instances = [replace(each, surface=surfaces.get(each.name)) for each in instances]
-    if compiling.is_running():
+    if compiling.is_first_due():
         status("Compiling the renderer for this machine, once")
-        worker.run(lambda progress: compiling.wait(), engine.test_break, status.progress)
+        worker.run(lambda progress: compiling.wait_for_first(), engine.test_break, status.progress)
     backend = _backend(engine, now.shown.device, status)
     status.count = sum(len(instance.model) for instance in instances)
     status.memory(objects.loaded_bytes(), area)

@@ -58,7 +58,7 @@ def sort(snapshot: Snapshot, camera: fg.Camera, share: float, atlas: Atlas) -> S
     total = sum(len(instance.model) for instance in instances)
     viewed = [instance.viewed(camera) for instance in instances]
     order = visibility.order(viewed, camera, min(share, MOST / max(total, 1)), kept_rank,
-                             "reference" if compiling.is_running() else "auto")
+                             "reference" if compiling.is_first_due() else "auto")
     if total >= MOST:  # several instances of few Gaussians each; ranks alone cannot tell how many are left
         order = order[order < MOST]
     return Sorted(instances, [item.key for item, _ in pairs], models, left_out, listed(viewed, order), share)

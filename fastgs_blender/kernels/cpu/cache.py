@@ -12,6 +12,8 @@ from pathlib import Path
 
 COMPLETE = "complete"
 """Name of the file that says that a compilation ahead came to its end."""
+FIRST = "first"
+"""Name of the file that says that a compilation ahead has what a first picture needs."""
 _chosen: Path | None = None
 
 
@@ -60,11 +62,16 @@ def is_begun() -> bool:
     return any(folder().rglob("*.nbi"))
 
 
-def mark_filled() -> None:
-    """Note that warm.py has come to its end; where the folder cannot be written, nothing is noted."""
+def has_first() -> bool:
+    """Whether the kernels of a plain picture, and of a viewport's order, have been compiled, by this version."""
+    return (folder() / FIRST).is_file()
+
+
+def mark(name: str) -> None:
+    """Note how far warm.py has come: FIRST or COMPLETE; where the folder cannot be written, nothing is noted."""
     with suppress(OSError):
         folder().mkdir(parents=True, exist_ok=True)
-        (folder() / COMPLETE).touch()
+        (folder() / name).touch()
 
 
 def size() -> int:

@@ -61,4 +61,4 @@ def announce():
         return
     _announced.set()
     if not cache.is_begun():
-        remark("FAST-GS: compiling the renderer for this machine; this happens once and takes about half a minute.")
+        remark("FAST-GS: compiling the renderer for this machine; this happens once and takes some ten seconds.")

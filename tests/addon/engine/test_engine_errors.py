@@ -238,10 +238,11 @@ def test_progress_memory_and_status(module, replaced):
     assert "Reading" in engine.stats[0] and "40 Gaussians" in engine.stats[-1] and "ViewLayer" in engine.stats[-1]
 
 
-def test_a_compilation_under_way_is_waited_for(module, replaced, monkeypatch):
+def test_what_a_first_picture_needs_is_waited_for_and_not_the_rest_of_a_compilation(module, replaced, monkeypatch):
     waited = []
     monkeypatch.setattr(module("engine.compiling"), "is_running", lambda: True)
-    monkeypatch.setattr(module("engine.compiling"), "wait", lambda: waited.append(threading.current_thread().name))
+    monkeypatch.setattr(module("fastgs_blender.kernels.cpu.cache"), "has_first", lambda: bool(waited))
+    monkeypatch.setattr(module("engine.compiling").time, "sleep", lambda span: waited.append(threading.current_thread().name))
     engine = Observer()
     module("engine.final").render(engine, bpy.context.evaluated_depsgraph_get())
     assert len(waited) == 1 and waited[0] != threading.current_thread().name

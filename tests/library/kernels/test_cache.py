@@ -14,14 +14,14 @@ def test_the_cache_is_filled_when_compilation_came_to_its_end(tmp_path, monkeypa
     kernel = cache.folder() / "raster_0" / "raster.rasterise-1.py311.nbi"
     kernel.parent.mkdir(parents=True)
     kernel.touch()
-    assert cache.is_begun() and not cache.is_filled()
+    assert cache.is_begun() and not cache.has_first() and not cache.is_filled()
 
     def stopped(fraction):
         raise KeyboardInterrupt
 
     with pytest.raises(KeyboardInterrupt):
         warm.compile_all(stopped)
-    assert not cache.is_filled()
+    assert cache.has_first() and not cache.is_filled(), "what a first picture needs comes first"
     warm.compile_all()
     assert cache.is_filled()
     cache.clear()
