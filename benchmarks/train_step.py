@@ -2,6 +2,9 @@
 """What a step of training takes on the CPU, from one run.
 
     python benchmarks/train_step.py [--gaussians 100000] [--size 676x507] [--runs 9] [--json FILE]
+    python benchmarks/train_step.py --train CAPTURE [any option of fastgs train]
+
+The first measures one step on a made scene:
 
 * rasterise stage  forward and backward: from sorted splats to blended features with alpha, and from the gradient of those to
                    that of the splats; with what is needed to list the tiles and to add up the splats' shares
@@ -9,18 +12,24 @@
                    L1 + D-SSIM, all the way back, motion penalty, statistics for density control, Adam
 
 All functions run in turn, so that the ratios hold when the machine's speed drifts; the figures are medians.
+
+The second trains on a capture and prints the processor's minutes by phase: before the first step, each fifth of the steps, density
+control, and what comes after. Where kernels are compiled anew, the first fifth has that time too.
 """
 from __future__ import annotations
 
 import argparse
 import json
 import statistics
-from collections import deque
+import tempfile
+import time
+from collections import defaultdict, deque
 from pathlib import Path
 
 import numpy as np
 from raster_cpu import fg, scene, threads, timed
 
+from fastgs_blender import cli
 from fastgs_blender.kernels.cpu import decoder, rasterise, splats, training
 from fastgs_blender.kernels.cpu.loss import photometric
 from fastgs_blender.rendering.instances import Instance
@@ -28,6 +37,9 @@ from fastgs_blender.rendering.layout import Layout
 from fastgs_blender.training.core.losses import motion_norm
 from fastgs_blender.training.core.optimiser import Optimiser
 from fastgs_blender.training.core.statistics import Statistics
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.run import checkpoint, session
+from fastgs_blender.training.run.progress import Reporter
 from fastgs_blender.util.backends import load_backend
 
 TIME = 0.4
@@ -124,15 +136,74 @@ def measure(gaussians: int, width: int, height: int, runs: int) -> dict:
     }
 
 
+class Phases:
+    """The processor's seconds of a run by phase; what is called within a phase and is one itself counts there alone."""
+
+    def __init__(self):
+        self.seconds: dict[str, float] = defaultdict(float)
+        self.stack, self.since = ["reading and checking"], time.process_time()
+
+    def _spent(self):
+        now = time.process_time()
+        self.seconds[self.stack[-1]] += now - self.since
+        self.since = now
+
+    def watch(self, owner, name: str, phase):
+        """Count what a function of a module or class takes as a phase; phase(*args) gives its name, if it depends on the arguments."""
+        inner = getattr(owner, name)
+
+        def timed_call(*args, **more):
+            self._spent()
+            self.stack.append(phase(*args) if callable(phase) else phase)
+            try:
+                return inner(*args, **more)
+            finally:
+                self._spent()
+                self.stack.pop()
+
+        setattr(owner, name, timed_call)
+
+    def ended(self) -> dict[str, float]:
+        """Minutes of all phases."""
+        self._spent()
+        return {name: seconds / 60 for name, seconds in self.seconds.items()}
+
+
+def fifth(trainer) -> str:
+    """The phase of a trainer's next step."""
+    begin = 20 * (5 * trainer.iteration // trainer.settings.iterations)
+    return f"steps, {begin} to {begin + 20} %"
+
+
+def train(arguments: list[str]) -> dict[str, float]:
+    """Minutes by phase of `fastgs train` with these arguments, and in all."""
+    phases = Phases()
+    phases.watch(session, "refinement", "refining cameras")
+    phases.watch(Reporter, "fill", "decoding")
+    phases.watch(session, "start", "starting points")
+    phases.watch(Trainer, "advance", fifth)
+    phases.watch(Trainer, "_densify", "density control")
+    phases.watch(Trainer, "measure", "previews")
+    phases.watch(checkpoint, "save", "checkpoints")
+    phases.watch(session._Session, "_finish", "writing and measuring")
+    with tempfile.TemporaryDirectory() as folder:
+        cli.main(["train", *arguments, "--out", folder + "/run"])
+    found = phases.ended()
+    found |= {"all": sum(found.values())}
+    return found
+
+
 def main():
     parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--train", nargs=argparse.REMAINDER, help="fastgs train with these arguments; prints minutes by phase")
     parser.add_argument("--gaussians", type=int, default=100_000)
     parser.add_argument("--size", default="676x507")
     parser.add_argument("--runs", type=int, default=9)
     parser.add_argument("--json", help="write the figures here as well")
     args = parser.parse_args()
     width, height = (int(v) for v in args.size.split("x"))
-    results = measure(args.gaussians, width, height, args.runs)
+    results = ({"minutes of processor": train(args.train)} if args.train
+               else measure(args.gaussians, width, height, args.runs))
     for title, figures in results.items():
         print(title)
         for name, value in figures.items():
