@@ -101,7 +101,7 @@ class Parts(Step):
         return rasterise.rasterise_backward(self.state, *self.grad)
 
     def decode(self):
-        return decoder.decode_features(self.picture.channels, self.picture.alpha, self.instance, self.camera)
+        return decoder.decode_features(self.picture.channels, self.picture.alpha, self.instance, self.camera, "normalised")
 
     def parts(self) -> dict:
         """The parts of a step by name, each a function to time."""
@@ -109,7 +109,8 @@ class Parts(Step):
         return {
             "project": self.project, "sort": self.projected.order, "decode": self.decode,
             "loss with gradient": lambda: photometric(self.target, self.picture.channels[..., :3]),
-            "decode backward": lambda: decoder.decode_backward(picture.channels, picture.alpha, self.instance, self.camera, self.target),
+            "decode backward": lambda: decoder.decode_backward(
+                picture.channels, picture.alpha, self.instance, self.camera, self.target, "normalised"),
             "project backward": lambda: splats.project_backward(self.instance, self.camera, self.layout, self.projected, self.gradient),
             "statistics": lambda: training.add_view(self.statistics, self.projected, self.gradient, self.camera),
             "motion penalty": lambda: self.backend.motion_penalty(self.norm, motion, self.gradients["motion"], 0.1, every),

@@ -1,0 +1,62 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Lists of tiles: of long thin splats, and of some of the tiles alone."""
+import numpy as np
+import pytest
+
+from fastgs_blender.cameras.camera import Camera
+from fastgs_blender.kernels.cpu import raster
+from fastgs_blender.kernels.cpu.rasterise import rasterise
+from fastgs_blender.kernels.cpu.tile_lists import TileLists, list_tiles
+from fastgs_blender.util.threads import set_threads
+
+CAMERA = Camera(150, 120, 100, 100, 75, 60, np.eye(4), window=(5, 3, 131, 110))
+
+
+@pytest.fixture
+def splats():
+    """Of 400 splats, from round to long and thin, their order, geometry and attributes (raster.py)."""
+    rng, n = np.random.default_rng(4), 400
+    geometry = np.stack([rng.uniform(-20, 170, n), rng.uniform(-20, 140, n), 10 ** rng.uniform(-1.6, 0, n), rng.normal(0, 0.3, n),
+                         10 ** rng.uniform(-1.6, 0, n)], 1)
+    attributes = np.empty((n, raster.CHANNEL + 3), np.float32)
+    attributes[:, raster.LOG2_OPACITY], attributes[:, raster.LOG2_CUT] = rng.uniform(-6, 0, n), -8
+    attributes[:, raster.ALPHA_MAX], attributes[:, raster.DEPTH] = 0.99, 1
+    attributes[:, raster.CHANNEL:] = rng.uniform(0, 1, (n, 3))
+    reach = np.sqrt(attributes[:, raster.LOG2_OPACITY].astype(float) + 8)
+    _, _, a, b, c = geometry.T
+    attributes[:, raster.RADIUS_X] = reach * np.hypot(b, c) / (a * c) + 1e-3
+    attributes[:, raster.RADIUS_Y] = reach / c + 1e-3
+    return np.arange(n, dtype=np.int32), geometry, attributes
+
+
+def test_a_tile_lists_each_splat_that_shows_in_it(splats):
+    order, geometry, attributes = splats
+    listing = TileLists.of(*splats, CAMERA)
+    starts, ids = list_tiles(listing.segments, listing.counts, 0, listing.counts.shape[1])
+    left, top, columns, rows = listing.grid
+    y, x = np.mgrid[top * 16:(top + rows) * 16, left * 16:(left + columns) * 16] + 0.5
+    listed = shown = 0
+    for i in order:
+        mx, my, a, b, c = geometry[i]
+        alpha = attributes[i, raster.LOG2_OPACITY] - (a * (x - mx) + b * (y - my)) ** 2 - (c * (y - my)) ** 2
+        tiles = (alpha >= attributes[i, raster.LOG2_CUT]).reshape(rows, 16, columns, 16).any((1, 3)).ravel()
+        has = np.array([i in ids[starts[tile]:starts[tile + 1]] for tile in range(rows * columns)])
+        assert has[tiles].all()
+        listed, shown = listed + has.sum(), shown + tiles.sum()
+    assert shown <= listed < 1.1 * shown
+
+
+@pytest.mark.parametrize("threads", [1, 7])
+def test_the_tiles_that_are_wanted_are_as_if_all_were(splats, threads):
+    order, geometry, attributes = splats
+    whole = rasterise(order, geometry, attributes, 3, CAMERA)
+    wanted = np.random.default_rng(5).random(9 * 8) < 0.3
+    set_threads(threads)
+    try:
+        part = rasterise(order, geometry, attributes, 3, CAMERA, wanted=wanted)
+    finally:
+        set_threads(0)
+    x0, y0, width, height = CAMERA.window
+    mask = np.kron(wanted.reshape(8, 9), np.ones((16, 16), bool))[y0:y0 + height, x0:x0 + width]
+    assert (part.channels[mask] == whole.channels[mask]).all() and (part.alpha[mask] == whole.alpha[mask]).all()
+    assert not part.alpha[~mask].any() and mask.any() and not mask.all()
