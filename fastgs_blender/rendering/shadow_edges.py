@@ -47,7 +47,7 @@ BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
 WIDEST = 8
 """Pixels to each side over which steps of a soft shadow are smoothed, at most; a power of two."""
-MOST = 16
+MOST = 8
 """Samples of an exposure in which edges are looked at."""
 
 
