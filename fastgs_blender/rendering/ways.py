@@ -58,7 +58,8 @@ class Ways:
         centre = light.points.mean(0)
         radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
         middle = _bounds(towards).mean(0)
-        if (middle @ towards >= NARROW * np.sqrt((towards * towards).sum(0) * (middle @ middle))).all():
+        x, y, z = towards
+        if (middle @ towards >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all():
             return [Side(every, self.instances)]
         axis = np.abs(towards).argmax(0)
         side = 2 * axis + (towards[axis, every] > 0)
