@@ -39,7 +39,7 @@ def compile_all(progress=lambda fraction: None) -> None:
             cache.mark(cache.FIRST)
         progress((i + 1) / len(jobs))
     render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
-    above = np.array([[[0.1, -9, 0.5], [0.1, 9, 0.5], [9, 0, 0.5]]], np.float32)  # the edge of its shadow lies on a speck
+    above = np.array([[[0.1, -9, 0.5], [0.1, 9, 0.5], [9, 0, 0.5]]], np.float32)
     sun = SceneLight(((Lamp(Light.sun((0, 0, -1)), (1, 1, 1)), None),), above)
     look = ObjectSettings(lamp_light=1.0, shadows=1.0)
     for model in models:
