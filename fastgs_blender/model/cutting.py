@@ -83,7 +83,7 @@ def _shared(sources: list[Chapters]) -> Iterator[Piece]:
         model = None if piece is None else piece.read()
         same = np.full(0 if model is None else len(model), -1)
         if before is not None and model is not None:
-            same = _same_rows(before, model)
+            same = same_rows(before, model)
         if held is not None:
             ending = np.setdiff1d(np.arange(held.size), same)
             for first in np.unique(begun[ending]).tolist():
@@ -106,7 +106,7 @@ class _Rows:
         return replace(part, temporal=np.zeros((len(part), 0)), temporal_kind=Always()) if self.always else part
 
 
-def _same_rows(a: GaussianModel, b: GaussianModel) -> np.ndarray:
+def same_rows(a: GaussianModel, b: GaussianModel) -> np.ndarray:
     """For each Gaussian of b [N] the number of one of a that looks the same at all times, each once; -1 where there is none."""
     none = np.full(len(b), -1)
     constants = ("raster", "axes", "colour_space")

@@ -21,13 +21,17 @@ class Strategy:
     """Base class of the strategies: at which steps they act, and how many Gaussians they may add.
 
     settings, extent (of the capture), template (a model of the kinds that are trained), centres [C, 3] of the cameras
+    held  how many Gaussians, the first ones, stay as they are
     """
 
     name = ""
+    holds = False
+    """Whether it can leave the held Gaussians alone."""
 
     def __init__(self, settings, extent: float, template, centres=None):
         self.settings, self.extent, self.template = settings, extent, template
         self.centres = np.zeros((0, 3)) if centres is None else centres
+        self.held = 0
         self.first = int(settings.densify_from * settings.iterations)
         self.last = int(settings.densify_until * settings.iterations)
         every = settings.densify_every
@@ -72,6 +76,7 @@ class Default(Strategy):
     """
 
     name = "default"
+    holds = True
 
     def acts(self, iteration):
         return self.due(iteration) or self._resets(iteration)
@@ -88,7 +93,7 @@ class Default(Strategy):
             changed = True
         if self._resets(iteration):
             opacity = optimiser.arrays["opacity"]
-            rows = np.flatnonzero(opacity > _logit(0.01))
+            rows = self.held + np.flatnonzero(opacity[self.held:] > _logit(0.01))
             opacity[rows] = _logit(0.01)
             optimiser.reset("opacity", rows)
         return changed
@@ -101,6 +106,7 @@ class Default(Strategy):
             arrays["scale"][anchored] = np.minimum(arrays["scale"][anchored], np.log(largest[anchored])[:, None] - 1e-3)
         keep = sigmoid(arrays["opacity"]) >= self.settings.prune_opacity
         keep &= np.exp(arrays["scale"].max(1)) <= largest
+        keep[:self.held] = True
         if keep.all() or not keep.any():
             return
         rows = np.flatnonzero(keep)
@@ -119,6 +125,7 @@ class Default(Strategy):
         s, arrays = self.settings, optimiser.arrays
         total = statistics.gradient if s.densify_gradient == "plain" else statistics.absolute
         score = total / np.maximum(statistics.seen, 1)
+        score[:self.held] = 0
         n = len(score)
         room = self._room(iteration, n)
         wanting = np.flatnonzero(score > s.densify_threshold)

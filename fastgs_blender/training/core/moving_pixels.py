@@ -3,6 +3,8 @@
 
 Most of a room stands still.  What moves covers few pixels, each in few pictures, and a mean over all pixels hardly asks for it.
 """
+from __future__ import annotations
+
 import numpy as np
 
 from ...captures.capture import by_view
@@ -31,12 +33,12 @@ class MovingPixels:
         if still is None:
             return None
         h, w = pixels.rgb.shape[:2]
-        r = _reduction(h, w)
-        red, green, blue = np.moveaxis(np.abs(smaller(pixels.rgb, r) - still), -1, 0)
-        change = np.maximum(np.maximum(red, green), blue)  # ten times as fast as max(-1)
-        share = np.clip((change - LOW) / (HIGH - LOW), 0, 1)
-        rows, columns = (np.minimum(np.arange(n) // r, m - 1) for n, m in zip((h, w), share.shape))
-        return share[np.ix_(rows, columns)]
+        return _share(smaller(pixels.rgb, _reduction(h, w)), still, h, w)
+
+    def changed(self, earlier: MovingPixels, view: str, h: int, w: int) -> np.ndarray | None:
+        """share() [h, w] of what stands still in a camera's film, against the same of an earlier part of it."""
+        now, before = self._still_picture(view), earlier._still_picture(view)
+        return None if now is None or before is None else _share(now, before, h, w)
 
     def _still_picture(self, view: str) -> np.ndarray | None:
         """The median [h, w, 3] of some of a camera's pictures, made when it is asked for first."""
@@ -52,6 +54,16 @@ class MovingPixels:
         if any(look.mask is not None for look in looks):
             return None
         return np.median([smaller(look.rgb, _reduction(*look.rgb.shape[:2])) for look in looks], axis=0).astype(np.float32)
+
+
+def _share(picture: np.ndarray, still: np.ndarray, h: int, w: int) -> np.ndarray:
+    """How much each pixel [h, w] differs, of reduced pictures: 0 not at all, 1 surely."""
+    red, green, blue = np.moveaxis(np.abs(picture - still), -1, 0)
+    change = np.maximum(np.maximum(red, green), blue)  # ten times as fast as max(-1)
+    share = np.clip((change - LOW) / (HIGH - LOW), 0, 1)
+    r = _reduction(h, w)
+    rows, columns = (np.minimum(np.arange(n) // r, m - 1) for n, m in zip((h, w), share.shape))
+    return share[np.ix_(rows, columns)]
 
 
 def _stands(shot, first) -> bool:

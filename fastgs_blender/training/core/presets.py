@@ -36,6 +36,7 @@ STG: dict[str, Any] = {
     "densify_rounds": 6, "densify_gradient": "plain", "densify_threshold": 2e-4, "densify_size": 0.01, "densify_share": 100.0,
     "prune_opacity": 0.005, "prune_size": 1e6,
     "reset_every": 3000, "densify_time": "random", "warm_up": (), "segment_frames": 50, "segment_overlap": 0,
+    "segment_steps": 0.0,
 }
 PAPER: dict[str, Any] = {**STG, "motion": "paper", "order": 5, "motion_weight": 0.1, "regulariser": "printed", "loss": "sum"}
 

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """All options of a training run in one frozen dataclass, each with its default, meaning and limits; their conversion to and from JSON."""
+from __future__ import annotations
+
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import MISSING, asdict, dataclass, field, fields
+from dataclasses import MISSING, asdict, dataclass, field, fields, replace
 from typing import Any
 
 from ...model.appearance import DECODES
@@ -129,6 +131,8 @@ class Settings:
     # Long captures (segments.py)
     segment_frames: int = _number(120, 0, 10**8)  # clips with more frames are cut into segments of at most this many, 0: never
     segment_overlap: int = _number(8, 0, 10**6)  # frames that neighbours share; 0: none, and they change over between two frames
+    # share of the steps that a segment takes which begins from the one before, holding what stands still; 0: each is trained for itself
+    segment_steps: float = _number(0.5, 0, 1)
 
     # Bookkeeping (without influence on the result)
     checkpoint_seconds: float = _number(15.0, 0, 10**7)
@@ -147,6 +151,12 @@ class Settings:
         one_of(self.preset, "the preset", PRESETS)
         if not all(0 <= a <= 1 for a in self.warm_up) or list(self.warm_up) != sorted(self.warm_up) or len(self.warm_up) > 4:
             raise FastGSError(f"the training option warm_up has at most four rising numbers from 0 to 1, not {self.warm_up}.")
+
+    def of_segment(self, number: int) -> Settings:
+        """The settings of a segment, counted from 0: those after the first take fewer steps."""
+        if not (number and self.segment_steps):
+            return self
+        return replace(self, iterations=max(round(self.segment_steps * self.iterations), 1))
 
     @property
     def dissimilarity(self) -> float:

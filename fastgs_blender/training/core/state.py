@@ -62,6 +62,8 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
         raise FastGSError(f"it does not say what the cameras stand around; {ADVICE}")
     if not isinstance(about.get("warm"), bool):
         raise FastGSError(f"it does not say whether it began with a model; {ADVICE}")
+    if not is_number(about.get("held", 0), 0, LARGEST_COUNT, int):
+        raise FastGSError(f"it does not say how many Gaussians are held; {ADVICE}")
     expected = _expected(arrays, template)
     odd = sorted(arrays.keys() ^ expected.keys())
     if odd:

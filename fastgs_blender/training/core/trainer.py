@@ -93,11 +93,17 @@ class Trainer:
         self.depth, self.warm = self.extent, False
         if start is not None:
             self.depth, self.warm = start.depth or self.extent, start.warm
+            self.strategy.held = start.held if self.can_hold else 0
             self.optimiser = Optimiser(_trained_arrays(start, decoder), backend=self.backend)
             self.statistics = Statistics.empty(self.backend, len(start.model))
 
     def __len__(self) -> int:
         return len(self.optimiser)
+
+    @property
+    def can_hold(self) -> bool:
+        """Whether Gaussians can be held as they are: where density control can, on a processor."""
+        return self.strategy.holds and isinstance(self.backend.zeros((1,)), np.ndarray)
 
     @property
     def cameras(self) -> CameraEstimates:
@@ -129,6 +135,8 @@ class Trainer:
         gradients = self._backward(views, statistics, seen)
         losses = [view.loss.values for view in views]
         gradients, seen, losses, self.statistics = processes.sum_step(backend, gradients, seen, losses, statistics)
+        if self.strategy.held:
+            seen[:self.strategy.held] = 0
         rows = backend.rows(seen)
         penalty = self._regularise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
@@ -257,7 +265,7 @@ class Trainer:
         return ({f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()},
                 {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                  "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
-                 "depth": self.depth, "warm": self.warm})
+                 "depth": self.depth, "warm": self.warm, "held": self.strategy.held})
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""
@@ -271,6 +279,7 @@ class Trainer:
 
         self.iteration, self.depth, self.warm = about["iteration"], float(about["depth"]), about["warm"]
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
+        self.strategy.held = about.get("held", 0) if self.can_hold else 0
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.delayed.restore(part("cameras"))
         self._prepared = -1, []

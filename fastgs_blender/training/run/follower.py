@@ -30,7 +30,8 @@ def _trainer(message: dict, processes: Several, device: str | None) -> Trainer:
     capture = refined(with_poses(capture, FrameStore(capture, MEMORY), message["out"]), message["cameras"])
     store, capture = FrameStore(capture, MEMORY), capture.part(*message["span"])
     backend = choose_device(device)[0]
-    trainer = Trainer(capture, store, plan.settings, backend="cpu" if backend == "auto" else backend, processes=processes)
+    settings = plan.settings.of_segment(message["number"])
+    trainer = Trainer(capture, store, settings, backend="cpu" if backend == "auto" else backend, processes=processes)
     trainer.fixed = tuple(message["fixed"])
     trainer.restore(processes.hear_arrays(), message["about"])
     return trainer

@@ -29,7 +29,8 @@ class _Noise:
 
 def steps_of(capture: Capture, settings: Settings) -> int:
     """Steps of a whole run, in all its segments."""
-    return settings.iterations * len(spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap))
+    cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
+    return sum(settings.of_segment(k).iterations for k in range(len(cuts)))
 
 
 def gaussians_of(settings: Settings) -> int:

@@ -8,8 +8,11 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...model.cutting import same_rows
 from ...model.gaussians import Clip, GaussianModel
-from ...model.joining import Segment, join
+from ...model.joining import FOREVER, Segment, join
+from ...model.motion import Static
+from ..initial.continued import stands
 
 FLANK = 2.36
 """Widths of a flank after which the most opaque Gaussian is no longer drawn: exp(-d^2) = 1 / 255."""
@@ -45,11 +48,39 @@ def joined_model(models: list[GaussianModel], cuts: list[Span], clip: Clip, prov
     """
     whole = clip.frame_count
     seams = [tuple(sorted((after.first, before.first + before.count - 1))) for before, after in pairwise(cuts)]  # where they change over
-    parts = []
+    parts, shown_from, (kept, begun) = [], [], _once(models)
+    if any(len(rows) < len(model) for rows, model in zip(kept, models)):
+        seams = [((low + high) // 2, (low + high) // 2 + 1) for low, high in seams]
     for i, (model, cut) in enumerate(zip(models, cuts)):
         beside = seams[max(i - 1, 0):i + 1]
         fade = max(min((high - low) for low, high in beside) * 0.25 / FLANK, 0.02) if beside else 1.0
         first = None if i == 0 else (seams[i - 1][0] + 0.375 * (seams[i - 1][1] - seams[i - 1][0])) / whole
         last = None if i == len(seams) else (seams[i][0] + 0.625 * (seams[i][1] - seams[i][0])) / whole
-        parts.append(Segment(model, cut.first / whole, cut.count / whole, (first, last), fade / whole))
-    return replace(join(parts, clip), provenance=provenance)
+        parts.append(Segment(model.take(kept[i]), cut.first / whole, cut.count / whole, (first, last), fade / whole))
+        shown_from.append(-FOREVER if first is None else first)
+    joined = join(parts, clip)
+    joined.temporal[:, 1] = np.array(shown_from)[np.concatenate([since[rows] for since, rows in zip(begun, kept)])]
+    return replace(joined, provenance=provenance)
+
+
+def _once(models: list[GaussianModel]) -> tuple[list[np.ndarray], list[np.ndarray]]:
+    """For each segment the rows that it gives to the joined model, and for each of its Gaussians [N] the segment since which it stands.
+
+    A Gaussian that stands still, and is held by segments that follow each other, comes once, from the last of them.
+    """
+    kept = [np.arange(len(model)) for model in models]
+    begun = [np.full(len(model), i) for i, model in enumerate(models)]
+    standing = [np.flatnonzero(stands(model)) for model in models]
+    still = [_at_rest(model.take(rows)) for model, rows in zip(models, standing)]
+    for i in range(1, len(models)):
+        same = same_rows(still[i - 1], still[i])
+        before, here = standing[i - 1][same[same >= 0]], standing[i][same >= 0]
+        begun[i][here] = begun[i - 1][before]
+        kept[i - 1] = np.setdiff1d(kept[i - 1], before)
+    return kept, begun
+
+
+def _at_rest(model: GaussianModel) -> GaussianModel:
+    """Gaussians that stand still, without their motion, which is 0."""
+    return replace(model, motion=np.zeros((len(model), 0, 3)), rotation_motion=np.zeros((len(model), 0, 4)), basis=Static(),
+                   rotation_basis=Static())

@@ -20,7 +20,9 @@ from ...captures.refined import refined
 from ...evaluation import training_record
 from ...formats.base import generator
 from ...kernels.protocol import DeviceError
+from ...model.cutting import chapters
 from ...model.gaussians import GaussianModel
+from ...model.temporal import WindowedRadial
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.reading import read_json
@@ -29,6 +31,7 @@ from ..core.measure import measure
 from ..core.processes import Processes
 from ..core.state import LONGEST, is_number
 from ..core.trainer import Trainer
+from ..initial.continued import settled, start_after
 from ..initial.refine import refinement
 from ..initial.start import start
 from . import checkpoint, written
@@ -61,8 +64,9 @@ def run(capture, store, plan: Plan, out, *, quiet: bool = False, reporter_type=R
                           "motion, or --set segment_frames=0.")
     take(out)
     plans.write(out, plan)
-    done, elapsed = progress_so_far(out, len(cuts), settings.iterations)
-    reporter = reporter_type(out, len(cuts) * settings.iterations, done, elapsed, quiet)
+    steps = [settings.of_segment(k).iterations for k in range(len(cuts))]
+    done, elapsed = progress_so_far(out, steps)
+    reporter = reporter_type(out, sum(steps), done, elapsed, quiet)
     reporter.device = describe_backend(backend)
     try:
         with StopFlag() as stop:
@@ -105,7 +109,7 @@ class _Session:
         for number, cut in enumerate(cuts):
             if len(cuts) > 1:
                 reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
-            models.append(self._segment(capture, store, cuts, number, models[0] if models else None, backend))
+            models.append(self._segment(capture, store, cuts, number, models, backend))
         corrections = training_record.corrections(models[0])  # exposures stay, and clocks run on
         corrections |= {"cameras": self.cameras} if self.cameras else {}
         about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout,
@@ -114,39 +118,45 @@ class _Session:
         model = models[0] if len(cuts) == 1 else joined_model(models, cuts, capture.clip, {})
         return self._finish(replace(model, provenance=about), capture, store)
 
-    def _segment(self, capture: Capture, store: FrameStore, cuts: list[Span], number: int, decoder: GaussianModel | None,
+    def _segment(self, capture: Capture, store: FrameStore, cuts: list[Span], number: int, before: list[GaussianModel],
                  backend: str) -> GaussianModel:
         """Train one segment, continue it, or load it if it is finished.  Where the device fails, the CPU goes on from the last checkpoint.
 
-        decoder  the model whose decoder it shares, None: it learns its own
+        before  the models of the segments before it: it shares the decoder of the first, which learns its own, and begins from the last
         """
         folder = self.out if len(cuts) == 1 else segment_folder(self.out, number)
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / SEGMENT_MODEL).exists():
             return formats.load(folder / SEGMENT_MODEL)
-        capture = capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
+        whole, capture = capture, capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
+        earlier = whole.part(cuts[number - 1].first, cuts[number - 1].count) if number else None
         try:
-            model = self._trained(capture, store, cuts[number], folder, number, decoder, backend)
+            model = self._trained(capture, store, cuts, folder, number, before, backend, earlier)
         except DeviceError as error:
             if self.processes.count > 1:
                 raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
             self.reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
             self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
-            model = self._trained(capture, store, cuts[number], folder, number, decoder, "cpu")
+            model = self._trained(capture, store, cuts, folder, number, before, "cpu", earlier)
         if len(cuts) > 1:  # the model replaces the checkpoint
+            model = settled(model, capture, store) if self.plan.settings.segment_steps else model
             checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
             written.write(model, folder / SEGMENT_MODEL)
             (folder / CHECKPOINT).unlink(missing_ok=True)
         return model
 
-    def _trained(self, capture: Capture, store: FrameStore, span: Span, folder: Path, number: int, decoder: GaussianModel | None,
-                 backend: str) -> GaussianModel:
-        """_segment() on one backend; raises DeviceError."""
-        settings, found = self.plan.settings, checkpoint.load(folder)
-        began = None
+    def _trained(self, capture: Capture, store: FrameStore, cuts: list[Span], folder: Path, number: int, before: list[GaussianModel],
+                 backend: str, earlier: Capture | None) -> GaussianModel:
+        """_segment() on one backend, after the segment of the capture `earlier`; raises DeviceError."""
+        settings, found, span = self.plan.settings.of_segment(number), checkpoint.load(folder), cuts[number]
+        began, decoder = None, before[0] if before else None
         if found is None:
             with self.reporter.stage("finding starting points") as report:
-                began = start(capture, store, settings, self.reporter.say, report)
+                if earlier is not None and settings.segment_steps:
+                    at = (span.first - cuts[number - 1].first) / cuts[number - 1].count
+                    began = start_after(before[-1], earlier, at, capture, store, settings, self.reporter.say, report)
+                else:
+                    began = start(capture, store, settings, self.reporter.say, report)
             began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
         trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes)
         if found is not None:
@@ -166,9 +176,10 @@ class _Session:
         if self.processes.count > 1:
             arrays, about = trainer.state()
             self.processes.send({"plan": self.plan.to_dict(), "out": str(self.out), "cameras": self.cameras, "about": about,
-                                 "span": [span.first, span.count], "fixed": trainer.fixed}, arrays)
+                                 "number": number, "span": [span.first, span.count], "fixed": trainer.fixed}, arrays)
         self.stop.patient = True
-        complete = take_steps(trainer, self.reporter, save, self.stop, preview_shots(capture), number * settings.iterations)
+        complete = take_steps(trainer, self.reporter, save, self.stop, preview_shots(capture),
+                              sum(self.plan.settings.of_segment(k).iterations for k in range(number)))
         self.stop.patient = False
         if not complete:
             raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
@@ -177,7 +188,8 @@ class _Session:
     def _finish(self, model: GaussianModel, capture: Capture, store: FrameStore) -> dict:
         """Write the model and measure it; returns the report."""
         out, settings, reporter = self.out, self.plan.settings, self.reporter
-        written.write(model, out / MODEL)
+        joined = isinstance(model.temporal_kind, WindowedRadial)
+        written.write(chapters(model) if joined else model, out / MODEL)
         report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
                   "model_bytes": (out / MODEL).stat().st_size, "seconds": round(reporter.elapsed, 1), "peak_memory_bytes": peak_memory(),
                   "processes": self.processes.count, "device": reporter.device, "settings": settings.to_dict()}
@@ -250,10 +262,11 @@ def segment_folder(out: Path, number: int) -> Path:
     return out / SEGMENTS / f"{number:03d}"
 
 
-def progress_so_far(out: Path, segments: int, iterations: int) -> tuple[int, float]:
-    """Steps and seconds of the run in a folder; raises FastGSError where a checkpoint cannot be used."""
+def progress_so_far(out: Path, steps: list[int]) -> tuple[int, float]:
+    """Steps and seconds of the run in a folder; steps: those of each segment.  Raises FastGSError where a checkpoint cannot be used."""
     done, elapsed = 0, 0.0
-    for folder in [out] if segments == 1 else [segment_folder(out, k) for k in range(segments)]:
+    for k, iterations in enumerate(steps):
+        folder = segment_folder(out, k) if len(steps) > 1 else out
         if (folder / SEGMENT_MODEL).exists():
             done += iterations
             with contextlib.suppress(FastGSError):

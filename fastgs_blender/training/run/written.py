@@ -4,13 +4,14 @@ import warnings
 from pathlib import Path
 
 from ... import formats
+from ...model.chapters import Chapters
 from ...model.gaussians import GaussianModel
 from ...util.errors import FastGSError, LossWarning, printable
 from ...util.outputs import writing
 
 
-def write(model: GaussianModel, path: Path) -> None:
-    """Write a model as .safetensors and read it; raises FastGSError where either fails, and what was at `path` stays."""
+def write(model: GaussianModel | Chapters, path: Path) -> None:
+    """Write a model, or a long clip, as .safetensors and read it; raises FastGSError where either fails, and what was at `path` stays."""
     with writing([path]) as (part,):
         try:
             formats.save(model, part)

@@ -249,7 +249,7 @@ def test_mutations_of_the_small_files(tmp_path, monkeypatch):
 
         begun = plan.begin(folder, {}, lambda wanted: chosen, True, False)
         try:
-            done, elapsed = session.progress_so_far(folder, 2, begun.settings.iterations)
+            done, elapsed = session.progress_so_far(folder, [begun.settings.iterations] * 2)
             assert done == begun.settings.iterations and elapsed >= 0
             Reporter(folder, 100, 60, quiet=True).close()
             write_plot(folder / "plot.png", folder / "log.jsonl")

@@ -5,6 +5,7 @@ from itertools import pairwise
 
 import numpy as np
 import pytest
+import toy_captures
 from hypothesis import given
 from hypothesis import strategies as st
 from toy_captures import toy_capture
@@ -94,3 +95,86 @@ def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
     (tmp_path / "segments" / "001" / "segment.safetensors").unlink()
     session.run(capture, store, plan.begin(tmp_path, {}, None, True, False), tmp_path, quiet=True)
     assert (tmp_path / "model.safetensors").read_bytes() == before
+
+
+@pytest.fixture(scope="module")
+def filmed():
+    """(capture, store, points) of 24 frames in which 6 small blobs move before 60 that stand."""
+    with pytest.MonkeyPatch.context() as patch:
+        whole, cameras = toy_captures.toy_scene, toy_captures.toy_cameras
+
+        def scene(frames):
+            model = whole(frames).take(np.arange(66))
+            model.position[60:] *= 0.5
+            model.motion[60:] *= 0.5
+            return model
+
+        patch.setattr(toy_captures, "SIZE", (72, 54))
+        patch.setattr(toy_captures, "toy_scene", scene)
+        patch.setattr(toy_captures, "toy_cameras", lambda views: [replace(each, fx=67.5, fy=67.5) for each in cameras(views)])
+        capture, store, points = toy_capture(frames=24)
+    shots = [replace(shot, camera=replace(shot.camera)) for shot in capture.shots]  # pictures are told by cameras: parts count frames anew
+    by_camera = {id(shot.camera): store.pictures[shot.view, shot.frame] for shot in shots}
+    store.pixels = lambda shot: by_camera[id(shot.camera)]
+    return replace(capture, shots=shots), store, points
+
+
+def trained(filmed, out, monkeypatch, **options):
+    """(the clip's model, its report, the models of its segments) of a run in segments."""
+    from fastgs_blender.training.run import plan, session
+
+    capture, store, points = filmed
+    monkeypatch.setattr("fastgs_blender.training.initial.starting_points.initial_points", lambda *rest: (points, rest[1]))
+    options = dict(iterations=300, max_gaussians=200, warm_up=(), segment_frames=12, segment_overlap=3, backdrop=0.0, preview_every=0,
+                   position_rate=1e-3, motion_rate=2e-3, init_scale=1.0, exposures="off", clocks="off", poses="off") | options
+    chosen = plan.begin(out, options, lambda wanted: settings.settings(**wanted), False, False)
+    report = session.run(capture, store, chosen, out, quiet=True)
+    models = [fg.load(path) for path in sorted(out.glob("segments/*/segment.safetensors"))]
+    return fg.open_source(out / "model.safetensors"), report, models
+
+
+@pytest.mark.slow
+def test_a_segment_begins_from_the_one_before(filmed, tmp_path, monkeypatch):
+    """What stands still is the same to the bit and stored once, and the clip is as good as of segments that are trained for themselves."""
+    from fastgs_blender.training.initial.continued import stands
+
+    clip, report, models = trained(filmed, tmp_path / "on", monkeypatch)
+    alone, before, each = trained(filmed, tmp_path / "alone", monkeypatch, segment_steps=0.0)
+    assert isinstance(clip, fg.Chapters) and report["held_out_psnr"] > before["held_out_psnr"] - 0.2
+    kept = [{row.tobytes() for row in model.take(stands(model)).position} for model in models]
+    assert min(len(rows) for rows in kept) > 50 and len(kept[0] & kept[1] & kept[2]) > 45
+    assert len(clip) < sum(map(len, models)) - 90 and len(clip) < 0.75 * len(alone) and not any(stands(model).any() for model in each)
+    capture, store, _ = filmed
+    films = np.stack([store.pixels(shot).rgb for shot in capture.held_out])
+    changes = np.ptp(films, axis=0).max(-1)
+    moving = np.max([np.roll(changes, (i, j), (0, 1)) for i in range(-4, 5) for j in range(-4, 5)], 0) > 1 / 255
+
+    def flicker(source):
+        """The largest change of still pixels where segments change over, and between their frames."""
+        pictures = [fg.render(source, capture.held_out[0].camera, frame / 24)["rgb"] for frame in range(24)]
+        return np.abs(np.diff(pictures, axis=0)).max(-1)[6:19][:, ~moving].max()
+
+    assert flicker(clip) < 1 / 255 < flicker(alone)
+
+
+def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, rng, make_model):
+    from fastgs_blender.training.core.start import Start
+    from fastgs_blender.training.core.trainer import Trainer
+    from fastgs_blender.training.initial.first_model import model_from_points
+
+    capture, store, points = filmed
+    chosen = settings.settings(iterations=20, densify_from=0.0, densify_every=5, densify_threshold=0.0, prune_opacity=0.4, warm_up=(),
+                               max_gaussians=150, backdrop=0.0, exposures="off", clocks="off", poses="off")
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    first.opacity[:5] = -3.0
+    trainer = Trainer(capture, store, chosen, Start(first, held=40))
+    for _ in range(12):
+        trainer.step()
+    after = trainer.model()
+    assert len(after) != len(first) and not np.array_equal(after.position[40:60], first.position[40:60])
+    for name, array in first.arrays.items():
+        np.testing.assert_array_equal(after.arrays[name][:40], array[:40], err_msg=name)
+    again = Trainer(capture, store, chosen)
+    again.restore(*trainer.state())
+    again.step()
+    np.testing.assert_array_equal(again.model().features[:40], first.features[:40])
