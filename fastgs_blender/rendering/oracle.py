@@ -342,7 +342,7 @@ class Oracle:
         model, t = instance.model, instance.t
         return positions_at(model, t, index), rotations.unit(quaternions_at(model, t, index))
 
-    def contributing(self, instances, camera):
+    def contributing(self, instances, camera, least):
         return [np.ones(len(each.model), bool) for each in instances]
 
     past_triangles = staticmethod(past_triangles)

@@ -38,6 +38,8 @@ from .ways import Side, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
+LEAST = 3e-4
+"""Gaussians that have less weight than this in each pixel are left out."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
 
@@ -80,7 +82,7 @@ class SceneLight:
             return list(instances)
         out = list(instances)
         viewed = {number: each.viewed(camera) for number, each in enumerate(instances) if len(each.model)}
-        marks = backend.contributing(list(viewed.values()), camera) if still else [None] * len(viewed)
+        marks = backend.contributing(list(viewed.values()), camera, LEAST) if still else [None] * len(viewed)
         shows = dict(zip(viewed, marks, strict=True))
         surfaces = [_Surface(viewed[number], backend, shows[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
@@ -229,7 +231,6 @@ class _Surface:
         else:
             shown = Shown.all_of(instance, backend)
             rows = np.flatnonzero(shows[shown.index])
-        self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
         spread = shown.spread[..., rows]
         self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
         self.axes = (instance.placement[:3, :3] @ spread.reshape(3, -1)).reshape(spread.shape)

@@ -37,7 +37,7 @@ WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0
 """These places, in pixels from its middle: no two in one row or column."""
 COARSE = 4
 """Pixels of the side of the squares that are looked at first, to find where edges are."""
-SHARP = 1e-3
+SHARP = 0.01
 """Shares of light from 0 and 1 on that are those of an edge."""
 FAINT = 1e-3
 """Alpha up to which nothing is seen of a pixel."""

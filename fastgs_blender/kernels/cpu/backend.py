@@ -10,7 +10,6 @@ import numpy as np
 
 from ...rendering.layout import Buffers, Layout
 from . import carrying, carving, initial, light, nearest, passing, posing, resample, steps, thinnest, training, visible
-from .contributing import contributing
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -67,7 +66,7 @@ class CPU:
     surface = staticmethod(surface)
     posed, thinnest = staticmethod(posing.posed), staticmethod(thinnest.thinnest)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
-    contributing = staticmethod(contributing)
+    contributing = staticmethod(passing.contributing)
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):

@@ -5,6 +5,8 @@ Splats and triangles are listed by tile, as for a picture; the points of a tile 
 """
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 from numba import float32
 
@@ -28,6 +30,11 @@ PART = 16
 PARTS = (TILE // PART) ** 2
 CHUNK = 16_384
 """Points in one piece of work."""
+SMALL, COARSE = 400, 2
+"""Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
+WIDER = 2.0
+"""Factor to the blur of splats there: with 4 those smaller than a pixel hide too much, with 1 they fall between the pixels."""
+NONE = np.empty(0, np.bool_)
 BATCH = 16
 """Points of a tile that go past its splats together, of neighbouring depths."""
 LAYERS = 2047
@@ -43,18 +50,44 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
     asserts.past_splats(points, over)
     layout = Layout(instances, False, plane=True)
     splats = project_instances(instances, camera, layout)
-    return _past(splats, layout, camera, points, over)
+    return _past(splats, layout, camera, lambda grid: _by_tile(grid, TILE, camera, points, over), float32(0.0), NONE)
 
 
-def _past(splats, layout, camera, points, over) -> np.ndarray:
-    """What transmitted() finds for points."""
+def contributing(instances, camera, least: float) -> list[np.ndarray]:
+    """PictureBackend.contributing(): where pictures are large, looked at through fewer pixels, in which splats are a little wider."""
+    by, wider = (COARSE, WIDER) if max(camera.width, camera.height) > SMALL else (1, 1.0)
+    coarse = camera.stretched(*(-(-side // by) for side in (camera.width, camera.height)))
+    width, height = coarse.width + 2, coarse.height + 2  # one more to each side: splats reach in
+    coarse = replace(coarse, width=width, height=height, cx=coarse.cx + 1, cy=coarse.cy + 1, window=(0, 0, width, height))
+    rasters = [replace(each.model.raster, blur=each.model.raster.blur * wider / by**2) for each in instances]
+    drawn = [replace(each, camera=coarse, model=replace(each.model, raster=own)) for each, own in zip(instances, rasters, strict=True)]
+    layout = Layout(drawn, False, plane=True)
+    splats, marks = project_instances(drawn, coarse, layout), np.zeros(sum(len(each.model) for each in drawn), np.bool_)
+    y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
+    seen = np.stack([x + 0.5, y + 0.5, np.full(len(x), np.inf)], 1)
+
+    def by_tile(grid):
+        part = (y // TILE * grid[2] + x // TILE) * PARTS + y % TILE // PART * (TILE // PART) + x % TILE // PART
+        return seen, *list_points(np.arange(len(x), dtype=np.int32), part.astype(np.int32), grid[2] * grid[3] * PARTS)
+
+    _past(splats, layout, coarse, by_tile, float32(least), marks)
+    found = []
+    for each, pieces in zip(drawn, splats.runs, strict=True):
+        found.append(np.zeros(len(each.model), bool))
+        for first, number in pieces:
+            found[-1][splats.source[first:first + number]] = marks[first:first + number]
+    return found
+
+
+def _past(splats, layout, camera, by_tile, least, marks) -> np.ndarray:
+    """What transmitted() finds for points as by_tile(grid of tiles) lists them."""
     listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera, TILE)
-    seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
+    seen, begins, asked = by_tile(listing.grid)
     out = np.ones(len(seen), np.float32)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, raster.CHANNEL + layout.plane, begins, asked, seen,
-                camera.width / 2, camera.height / 2, out)
+                camera.width / 2, camera.height / 2, out, least, marks)
         run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
     return out
 
@@ -145,10 +178,13 @@ def exp2(x):
 
 @kernel
 def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
-                out):
-    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
+                out, least, marks):
+    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes.
+
+    Where marks [splats] is not empty, it becomes True for splats that take `least` or more of the light on the way to one of the points.
+    """
     state, box, splat = np.empty((4, BATCH), np.float32), np.empty((4, 0), np.float32), np.empty((0, 12), np.float32)
-    near, inside = np.empty(0, np.int32), np.empty(0, np.bool_)
+    near, inside, marking = np.empty(0, np.int32), np.empty(0, np.bool_), len(marks) > 0
     px, py, limit, light = state[0], state[1], state[2], state[3]
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
@@ -177,13 +213,18 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
                     z, slope_x, slope_y, peak, most, cut = splat[k, 6], splat[k, 7], splat[k, 8], splat[k, 9], splat[k, 10], splat[k, 11]
                     if not depth < farthest:
                         break
+                    taking = np.int32(0)
                     for j in range(BATCH):
                         dx, dy = px[j] - mx, py[j] - my
                         u, v = a * dx + b * dy, c * dy
                         exponent = peak - u * u - v * v
                         before = max(depth, z + slope_x * px[j] + slope_y * py[j])
                         alpha = min(exp2(max(exponent, float32(-8.0))), most)
-                        light[j] -= light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
+                        taken = light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
+                        light[j] -= taken
+                        taking += np.int32(taken >= least)
+                    if marking and taking > 0:
+                        marks[ids[starts[tile] + k]] = True
                     if n % 8 == 7:
                         brightest = float32(0.0)
                         for j in range(count):
