@@ -75,7 +75,7 @@ class SceneLight:
         backend  a loaded backend (util/backends.py)
         passes   whether all of them get a Shading, too, which the passes of lamps read (shading.py)
         still    whether the picture shows them at their own time through the middle of the lens alone: Gaussians that it does not show
-                 are then left out
+                 are then left out of those that take light
         """
         wanted = [number for number, each in enumerate(instances) if (passes or each.settings.takes_light) and len(each.model)]
         if not wanted:
@@ -83,7 +83,7 @@ class SceneLight:
         out = list(instances)
         viewed = {number: each.viewed(camera) for number, each in enumerate(instances) if len(each.model)}
         marks = backend.contributing(list(viewed.values()), camera, LEAST) if still else [None] * len(viewed)
-        shows = dict(zip(viewed, marks, strict=True))
+        shows = {number: mark if instances[number].settings.takes_light else None for number, mark in zip(viewed, marks, strict=True)}
         surfaces = [_Surface(viewed[number], backend, shows[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
         arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
