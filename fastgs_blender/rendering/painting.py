@@ -58,4 +58,3 @@ def _now(features: np.ndarray, age: np.ndarray) -> np.ndarray:
     now = features.copy()
     now[:, 6:9] *= age[:, None]
     return now
-
