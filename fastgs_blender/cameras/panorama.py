@@ -42,7 +42,7 @@ class Panorama:
     focal: float = 0.0
     near: float = 0.0
     far: float = np.inf
-    window: tuple[int, int, int, int] | None = None
+    window: tuple[int, int, int, int] = None  # type: ignore[assignment]
 
     def __post_init__(self) -> None:
         if self.projection not in ("equirectangular", "equidistant", "equisolid"):

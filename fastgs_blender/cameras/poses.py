@@ -1,7 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """look_at(); numbers and poses from files, checked: those functions raise FastGSError with `where` (file and place) in front."""
+from collections import Counter
 from collections.abc import Iterable
+from pathlib import Path
 from reprlib import repr as shortened
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -39,21 +42,21 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     return matrix
 
 
-def table(value, where: str) -> dict:
+def table(value: object, where: str) -> dict:
     """A JSON object."""
     if not isinstance(value, dict):
         raise FastGSError(f"{where} must be a table of named values, not {type(value).__name__}.")
     return value
 
 
-def listed(value, where: str, least: int = 1) -> list:
+def listed(value: object, where: str, least: int = 1) -> list:
     """A JSON list with at least so many items."""
     if not isinstance(value, list) or len(value) < least:
         raise FastGSError(f"{where} must be a list of at least {least}.")
     return value
 
 
-def name_of(value, where: str) -> str:
+def name_of(value: object, where: str) -> str:
     """A name: a JSON text that is not empty."""
     if not isinstance(value, str) or not value:
         raise FastGSError(f"{where} must be a text that is not empty, not {shortened(value)}.")
@@ -62,11 +65,10 @@ def name_of(value, where: str) -> str:
 
 def repeated(names: Iterable[str]) -> str | None:
     """The first name that stands twice, None where all differ."""
-    seen: set[str] = set()
-    return next((name for name in names if name in seen or seen.add(name)), None)
+    return next((name for name, times in Counter(names).items() if times > 1), None)
 
 
-def numbers(value, shape: tuple[int, ...], where: str) -> np.ndarray:
+def numbers(value: object, shape: tuple[int, ...], where: str) -> np.ndarray:
     """Finite float64 of that shape."""
     try:
         if isinstance(value, (str, bool, dict)):
@@ -79,7 +81,7 @@ def numbers(value, shape: tuple[int, ...], where: str) -> np.ndarray:
     return array
 
 
-def number(value, where: str, low: float = -np.inf, high: float = np.inf) -> float:
+def number(value: object, where: str, low: float = -np.inf, high: float = np.inf) -> float:
     """A finite number from low to high."""
     found = float(numbers(value, (), where))
     if not low <= found <= high:
@@ -95,14 +97,14 @@ def read(text: str, where: str, low: float = -np.inf, high: float = np.inf) -> f
         raise FastGSError(f"{where} must be a number, not {shortened(text)}.") from error
 
 
-def needed(values: dict, key: str, where: str):
+def needed(values: dict, key: str, where: str | Path) -> Any:
     """A value that must be there."""
     if key not in values:
         raise FastGSError(f"{where}: it lacks {key}.")
     return values[key]
 
 
-def whole(value, where: str, low: int = 0, high: int = 10**7) -> int:
+def whole(value: object, where: str, low: int = 0, high: int = 10**7) -> int:
     """A whole number from low to high."""
     found = number(value, where, low, high)
     if found != int(found):
@@ -110,16 +112,17 @@ def whole(value, where: str, low: int = 0, high: int = 10**7) -> int:
     return int(found)
 
 
-def intrinsics(where: str, fx, fy, cx, cy, width, height) -> Intrinsics:
+def intrinsics(where: str, fx: object, fy: object, cx: object, cy: object, width: object, height: object) -> Intrinsics:
     """Checked intrinsics; focal lengths above 0, sizes up to LARGEST_SIDE."""
-    size = [whole(side, f"{where}: its {name}", 1, LARGEST_SIDE) for name, side in (("width", width), ("height", height))]
-    focal = [number(f, f"{where}: its focal length") for f in (fx, fy)]
-    if min(focal) <= 0:
-        raise FastGSError(f"{where}: its focal lengths must be above 0, not {focal[0]:g} and {focal[1]:g}.")
-    return Intrinsics(*focal, *(number(c, f"{where}: its principal point") for c in (cx, cy)), *size)
+    w, h = (whole(side, f"{where}: its {name}", 1, LARGEST_SIDE) for name, side in (("width", width), ("height", height)))
+    x, y = (number(f, f"{where}: its focal length") for f in (fx, fy))
+    if min(x, y) <= 0:
+        raise FastGSError(f"{where}: its focal lengths must be above 0, not {x:g} and {y:g}.")
+    u, v = (number(c, f"{where}: its principal point") for c in (cx, cy))
+    return Intrinsics(x, y, u, v, w, h)
 
 
-def rigid(value, where: str, tolerance: float = 1e-3) -> np.ndarray:
+def rigid(value: object, where: str, tolerance: float = 1e-3) -> np.ndarray:
     """A rotation and a translation as [4, 4], from 4 x 4 or 3 x 4 numbers; the rotation is made exactly orthonormal."""
     rows = 3 if isinstance(value, (list, np.ndarray)) and len(value) == 3 else 4
     matrix = np.eye(4)
@@ -155,7 +158,7 @@ def from_opengl(camera_to_world: np.ndarray) -> np.ndarray:
     return inverse(camera_to_world @ OPENGL)
 
 
-def from_quaternion(quaternion, translation, where: str) -> np.ndarray:
+def from_quaternion(quaternion: object, translation: object, where: str) -> np.ndarray:
     """World-to-camera [4, 4] of COLMAP's quaternion w x y z and translation."""
     q, t = numbers(quaternion, (4,), f"{where}: its quaternion"), numbers(translation, (3,), f"{where}: its translation")
     length = np.linalg.norm(q)

@@ -18,8 +18,8 @@ def camera_of(viewpoint: Viewpoint) -> Camera:
 def viewpoint_of(camera: Camera, name: str = "", distance: float = 0.0) -> Viewpoint:
     """A perspective camera as a viewpoint; what it looks at is `distance` away (0: not known)."""
     pose = np.linalg.inv(camera.world_to_camera)
-    turn = from_matrices(pose[None, :3, :3])[0]
-    position, rotation = (tuple(round(float(v), 9) for v in values) for values in (pose[:3, 3], turn))
+    x, y, z, *turn = (round(float(v), 9) for v in (*pose[:3, 3], *from_matrices(pose[None, :3, :3])[0]))
+    qw, qx, qy, qz = turn
     lens = {key: float(getattr(camera, key)) for key in ("fx", "fy", "cx", "cy")}
-    return Viewpoint(width=camera.width, height=camera.height, **lens, position=position, rotation=rotation, distance=float(distance),
-                     name=name)
+    return Viewpoint(width=camera.width, height=camera.height, **lens, position=(x, y, z), rotation=(qw, qx, qy, qz),
+                     distance=float(distance), name=name)

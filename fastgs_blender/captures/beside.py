@@ -8,6 +8,7 @@ matches and there are as many films as cameras, they are paired in order, and a 
 import re
 from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 from ..cameras import poses
 from ..cameras.opencv import Calibrated, metric, upright_axes
@@ -58,9 +59,8 @@ def matched(names: Sequence[str], films: Sequence[Path], exact: bool = False) ->
         own = [word for word in words(name) if word not in NOT_A_NAME] or words(name)
         rules = (lambda film, name=name: film.stem == name, lambda film, own=own: spelt[film] == own,
                  lambda film, own=own: spelt[film][-len(own):] == own, lambda film, own=own: _holds(spelt[film], own))
-        if exact:
-            rules = rules[0], lambda film, name=name: spelt[film] == words(name)
-        fits = next((fits for rule in rules if own and (fits := [film for film in films if rule(film)])), [])
+        exactly = rules[0], lambda film, name=name: spelt[film] == words(name)
+        fits = next((fits for rule in (exactly if exact else rules) if own and (fits := [film for film in films if rule(film)])), [])
         if len(fits) > 1:
             raise FastGSError(f"{fits[0].parent}: {fits[0].name} and {fits[1].name} are both called like camera {name}; leave one of them.")
         if fits:
@@ -145,28 +145,28 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
             continue
         pose = camera.pose.copy()
         pose[:3, 3] *= metres
-        settings = dict(lens=camera.lens, intrinsics=camera.intrinsics(_size(place, camera), str(place)))
+        settings: dict[str, Any] = dict(lens=camera.lens, intrinsics=camera.intrinsics(_size(place, camera), str(place)))
         pictures = [None if where is None else Source(*where, **settings) for where in found[camera.name]]
         view = place.stem if camera.name.isdecimal() and film_of(place).is_file() else camera.name  # "cam_0" says more than "0"
         rig[camera.name] = RigCamera(view if view not in names else camera.name, pictures, pose)
-    settings = dict(axes=upright_axes([camera.pose for camera in rig.values()]), faults=faults)
+    settings = dict(axes=upright_axes([filmed.pose for filmed in rig.values() if filmed.pose is not None]), faults=faults)
     if times is None:
         fps = rates[0] if rates else 30.0
         return from_rig(path, layout, list(rig.values()), options, fps=fps, start_frame=start, notes=notes, **settings)
     entries = []
-    for name, camera in rig.items():
-        own, count = times.of(name), len(camera.pictures)
+    for name, filmed in rig.items():
+        own, count = times.of(name), len(filmed.pictures)
         if len(own) != count:
-            notes.append(f"{camera.name} has {count} frames and {len(own)} times; the first {min(len(own), count)} of both are used")
-        taken = ((image, *when) for image, when in zip(camera.pictures, own) if image is not None)
-        entries += [Entry(camera.name, frame, image, camera.pose, t=t) for image, frame, t in taken]
+            notes.append(f"{filmed.name} has {count} frames and {len(own)} times; the first {min(len(own), count)} of both are used")
+        taken = ((image, *when) for image, when in zip(filmed.pictures, own) if image is not None)
+        entries += [Entry(filmed.name, frame, image, filmed.pose, t=t) for image, frame, t in taken]
     if not entries:
         raise FastGSError(f"{times.path}: it has no times of the cameras {', '.join(places)}; remove it, or export it with the films.")
     notes.append(f"each frame has its own time, from {times.path.name}")
     return from_entries(path, layout, entries, options, frame_count=times.count, fps=times.fps, notes=notes, **settings)
 
 
-def films(places: dict[str, Path], faults: list[str], path: Path):
+def films(places: dict[str, Path], faults: list[str], path: Path) -> tuple[int, dict[str, list], list[float]]:
     """The films at these places: number of the first frame, (file, number of its frame) or None by camera and frame, and frames per second
     of the videos."""
     places = {name: film_of(place) for name, place in places.items()}

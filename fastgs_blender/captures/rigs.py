@@ -2,9 +2,10 @@
 """Makes a Capture of the rig, or of the single pictures, that a layout found, with the options applied."""
 import math
 import os
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -55,7 +56,8 @@ class RigCamera:
     masks: Sequence[Source | None] = ()
 
 
-def from_rig(path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (), **settings) -> Capture:
+def from_rig(path: Path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (),
+             **settings: Any) -> Capture:
     """The capture of a rig: all cameras film frame after frame together.  settings as from_entries() has them.
 
     Films may begin and end at different times: the frames that all of them have are the clip, and a note says so.  A camera that has no
@@ -283,7 +285,7 @@ def _chosen(count: int, frames: slice | None, path: Path) -> range:
     return chosen
 
 
-def _held_out(path, entries, default, asked) -> set[str]:
+def _held_out(path: Path, entries: Sequence[Entry], default: Iterable[str], asked: Sequence[str] | None) -> set[str]:
     names = {entry.view for entry in entries}
     unknown = [] if asked is None else [name for name in asked if name not in names]
     if unknown:
@@ -295,9 +297,10 @@ def _held_out(path, entries, default, asked) -> set[str]:
     return set() if kept == names else kept
 
 
-def _camera(entry: Entry, scale, focal, known: dict) -> Camera:
+def _camera(entry: Entry, scale: float, focal: float | None, known: dict) -> Camera:
     """The pinhole of an entry; one object for all frames of a camera that stands still."""
     image = entry.image
+    assert image.intrinsics is not None
     pose = np.asarray(entry.world_to_camera, np.float64)
     lens_key = image.lens, image.intrinsics
     key = *lens_key, pose.tobytes()

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the poses and lenses of a calibration, by features that pictures of several cameras have in common."""
+from collections.abc import Collection
 from itertools import combinations
 
 import numpy as np
@@ -90,7 +91,7 @@ def _unknown_places(section: Section, looked: Looked) -> None:
                     "Nothing is to be done; their unit of length is arbitrary.")
 
 
-def turned_by(matches: Matches, view: str, bad) -> tuple[float, float] | None:
+def turned_by(matches: Matches, view: str, bad: Collection[str]) -> tuple[float, float] | None:
     """The rotation in degrees and the distance between a camera's pose and its calibration, from points that correct cameras see too."""
     pycolmap = features.pycolmap_module()
     _, places, xyz = offsets(matches, view, [other for other in bad if other != view])
@@ -110,7 +111,7 @@ def turned_by(matches: Matches, view: str, bad) -> tuple[float, float] | None:
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(moved)
 
 
-def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: float, bad) -> None:
+def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: float, bad: Collection[str]) -> None:
     found = turned_by(matches, view, bad)
     by = "it was bumped, zoomed or calibrated wrongly"
     if found is not None:
@@ -121,7 +122,7 @@ def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: 
                 "or leave it out: all that it sees is blurred otherwise.", [view], ("reprojection error", round(error, 3), "pixels"))
 
 
-def _borders(section: Section, looked: Looked, matches: Matches, bad) -> None:
+def _borders(section: Section, looked: Looked, matches: Matches, bad: Collection[str]) -> None:
     """Whether errors are larger near the borders, which means that the calibration's lens model is wrong."""
     inside: dict[str, list] = {view: [] for view in looked.views}
     outside: dict[str, list] = {view: [] for view in looked.views}
@@ -180,6 +181,7 @@ def _same_places(section: Section, looked: Looked) -> None:
 
 
 def _same_pose(a: Sample, b: Sample, extent: float) -> bool:
+    assert a.camera is not None and b.camera is not None
     apart = np.abs(a.camera.world_to_camera - b.camera.world_to_camera) / [1, 1, 1, extent]
     return a.shot.frame == b.shot.frame and apart.max() < SAME
 
@@ -188,7 +190,7 @@ def _alike(a: Sample, b: Sample) -> float:
     """The correlation of two small grey pictures, where a camera with the first one's pose sees both."""
     small = [max(1, max(sample.rgb.shape[:2]) // SIDE) for sample in (a, b)]
     one, two = (smaller(sample.rgb.mean(2), step) for sample, step in zip((a, b), small))
-    first, second = (small_camera(sample.camera, step) for sample, step in zip((a, b), small))
+    first, second = (small_camera(sample.camera, step) for sample, step in zip((a, b), small) if sample.camera is not None)
     y, x = np.mgrid[:one.shape[0], :one.shape[1]] + 0.5
     u = np.floor((x - first.cx) / first.fx * second.fx + second.cx).astype(int)
     v = np.floor((y - first.cy) / first.fy * second.fy + second.cy).astype(int)

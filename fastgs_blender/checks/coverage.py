@@ -68,7 +68,7 @@ def plan(space: Space, looked: Looked) -> str:
     scale = width / max(right[0] - left[0], (right[1] - left[1]) / 0.9, 1e-9)
     size = (right - left) * scale
 
-    def at(points):
+    def at(points: np.ndarray) -> np.ndarray:
         return np.stack([(points[..., 0] - left[0]) * scale, size[1] - (points[..., 1] - left[1]) * scale], -1)
 
     cell = max(size) / GRID
@@ -90,9 +90,9 @@ def plan(space: Space, looked: Looked) -> str:
                   if 0 <= a <= size[0] and 0 <= b <= size[1]]
     for view, camera in space.cameras.items():
         place = at(space.planned(camera.centre[None]))[0]
-        toward = space.planned(camera.world_to_camera[2:3, :3])[0, :2] * [1, -1]
+        toward: np.ndarray = space.planned(camera.world_to_camera[2:3, :3])[0, :2] * [1, -1]
         length = float(np.linalg.norm(toward))
-        toward /= max(length, 1e-9)
+        toward = toward / max(length, 1e-9)
         half = np.arctan(camera.width / 2 / camera.fx)
         wedge = [place + 34 * (np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ toward) for t in (-half, half)]
         held = view in looked.capture.held_out_views

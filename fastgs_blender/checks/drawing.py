@@ -73,15 +73,15 @@ def curves(caption: str, lines: Mapping[str, np.ndarray], across: str, up: str, 
         y = height - bottom - (line - low) / (high - low) * (height - bottom - 8)
         points = " ".join(f"{a:.1f},{b:.1f}" for a, b in zip(x, y) if np.isfinite(b))
         parts.append(f'<polyline points="{points}" fill="none" stroke="{COLOURS[k % len(COLOURS)]}" stroke-width="1.4"/>')
-    x, y = float(left), height + 4.0
+    along, down = float(left), height + 4.0
     for k, name in enumerate(lines):
         wide = 22 + 7 * len(name)
-        if x + wide > width:
-            x, y = float(left), y + 16
-        parts.append(f'<rect x="{x}" y="{y - 8}" width="10" height="10" fill="{COLOURS[k % len(COLOURS)]}"/>')
-        parts.append(text(x + 14, y + 1, name, colour=INK))
-        x += wide
-    return Picture(caption, svg(width, y + 8, parts), wide=True)
+        if along + wide > width:
+            along, down = float(left), down + 16
+        parts.append(f'<rect x="{along}" y="{down - 8}" width="10" height="10" fill="{COLOURS[k % len(COLOURS)]}"/>')
+        parts.append(text(along + 14, down + 1, name, colour=INK))
+        along += wide
+    return Picture(caption, svg(width, down + 8, parts), wide=True)
 
 
 def counts_over(pixels: np.ndarray, counts: np.ndarray) -> np.ndarray:
@@ -91,7 +91,7 @@ def counts_over(pixels: np.ndarray, counts: np.ndarray) -> np.ndarray:
     columns = np.minimum(np.arange(width) * counts.shape[1] // width, counts.shape[1] - 1)
     colour = np.array(COUNTS)[np.minimum(counts, len(COUNTS) - 1)][rows][:, columns]
     grey = pixels.astype(np.float32).mean(2, keepdims=True) / 255
-    return np.uint8(np.clip(0.55 * grey + 0.45 * colour * (0.35 + 0.65 * grey), 0, 1) * 255 + 0.5)
+    return (np.clip(0.55 * grey + 0.45 * colour * (0.35 + 0.65 * grey), 0, 1) * 255 + 0.5).astype(np.uint8)
 
 
 def key_of_counts() -> str:

@@ -28,7 +28,7 @@ def run(looked: Looked) -> Section:
     if not capture.posed or not looked.training:
         section.summary = "Without poses nothing can be said about views between the cameras yet."
         return section
-    poses = {shot.camera.world_to_camera.tobytes() for shot in capture.training}
+    poses = {shot.camera.world_to_camera.tobytes() for shot in capture.training if shot.camera is not None}
     if len(poses) > MOVING * len(looked.training):
         section.summary = "The cameras move; views along their way will be good, others were not judged."
         return section

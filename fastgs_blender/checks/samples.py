@@ -93,7 +93,7 @@ class Looked:
 def thumbnail(rgb: np.ndarray) -> np.ndarray:
     """A picture with its longer side at most THUMBNAIL."""
     reduction = max(1, -(-max(rgb.shape[:2]) // THUMBNAIL))
-    return np.uint8(smaller(rgb, reduction) + 0.5) if reduction > 1 else rgb
+    return (smaller(rgb, reduction) + 0.5).astype(np.uint8) if reduction > 1 else rgb
 
 
 def look(looked: Looked) -> None:
@@ -134,13 +134,13 @@ def _near(shots: list[Shot], frames: list[int]) -> list[Shot]:
 
 
 def _sample(shot: Shot, found: np.ndarray) -> Sample:
-    rgb = found[..., :3] if found.dtype == np.uint8 else np.uint8(found[..., :3] >> 8)
+    rgb = found[..., :3] if found.dtype == np.uint8 else (found[..., :3] >> 8).astype(np.uint8)
     valid = undistortion.valid(shot)
     if found.shape[2] > 3:  # an alpha channel: the rest is no picture
         seen = found[..., 3] > np.iinfo(found.dtype).max // 2
         valid = seen if valid is None else valid & seen
     reduction = reduction_of(*rgb.shape[:2])
-    small = np.uint8(smaller(rgb, reduction) + 0.5) if reduction > 1 else np.ascontiguousarray(rgb)
+    small = (smaller(rgb, reduction) + 0.5).astype(np.uint8) if reduction > 1 else np.ascontiguousarray(rgb)
     camera = None if shot.camera is None else small_camera(shot.camera, reduction)
     inside = None if valid is None else smaller(valid.astype(np.float32), reduction) > 0.99
     return Sample(shot, small, camera, inside, reduction, blur.blur_of(rgb, valid))

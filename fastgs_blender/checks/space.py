@@ -140,7 +140,8 @@ class Space:
 def space_of(looked: Looked) -> Space:
     """The space of a capture with poses; points are of features on which cameras agree (without those that are off), or the layout's."""
     capture = looked.capture
-    cameras = {view: samples[len(samples) // 2].shot.camera for view, samples in looked.samples.items()}
+    middle = {view: samples[len(samples) // 2].shot.camera for view, samples in looked.samples.items()}
+    cameras = {view: camera for view, camera in middle.items() if camera is not None}
     try:
         points = looked.matches.good_points(looked.judged.wrong)
     except FastGSError:  # without pycolmap

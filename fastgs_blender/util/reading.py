@@ -7,6 +7,7 @@ Every reader of models, captures, cameras, checkpoints, job and status files goe
         data = read_bytes(path, limit=LARGEST)     # regular files only, never more than `limit` bytes
 """
 import errno
+import io
 import json
 import logging
 import os
@@ -60,7 +61,7 @@ def _reason(error: Exception) -> str:
     return text or type(error).__name__
 
 
-def open_file(path: str | os.PathLike) -> BinaryIO:
+def open_file(path: str | os.PathLike) -> io.BufferedReader:
     """A regular file, opened for reading bytes; raises FastGSError for anything else.
 
     A pipe or a device would make its reader wait for ever; opening it without blocking, and looking before reading, does not.

@@ -81,7 +81,7 @@ def symmetric(width: int, height: int, focal: float, pose: np.ndarray) -> Camera
     return Camera(width, height, focal, focal, width / 2, height / 2, pose)
 
 
-def focal_of(degrees: float, side: float, where: str) -> float:
+def focal_of(degrees: object, side: float, where: str) -> float:
     """Focal length in pixels of an angle of view over `side` pixels."""
     angle = poses.number(degrees, f"{where}: its field of view", 0.01, 179.9)
     return side / 2 / np.tan(np.radians(angle) / 2)
@@ -92,14 +92,14 @@ def degrees_of(focal: float, side: float) -> float:
     return float(np.degrees(2 * np.arctan(side / 2 / focal)))
 
 
-def check_length(file, frames: float) -> None:
+def check_length(file: Path, frames: float) -> None:
     """Raises FastGSError for more frames than are made from keyframes."""
     if not frames <= MOST_INTERPOLATED:
         raise FastGSError(f"{file}: its keyframes make a path of {frames:.6g} frames, which is too long: at most {MOST_INTERPOLATED} "
                           "are made from keyframes; shorten the path, or lower its frame rate.")
 
 
-def check_frames(file, entries: Sequence) -> None:
+def check_frames(file: Path, entries: Sequence) -> None:
     """Raises FastGSError for a file with more frames than a path may have."""
     if len(entries) > MOST_FRAMES:
         raise FastGSError(f"{file}: it has {len(entries)} frames, and a camera path has at most {MOST_FRAMES}.")
@@ -147,7 +147,7 @@ def warn_of_losses(path: CameraPath, kind: str) -> None:
         warnings.warn(f"{kind} has one size for all frames; the first is written.", LossWarning, stacklevel=3)
 
 
-def write_json(file, values, indent=None) -> None:
+def write_json(file: str | Path, values: object, indent: int | None = None) -> None:
     """A JSON file, written aside and renamed."""
     text = json.dumps(values, indent=indent, allow_nan=False)
     with replacing([Path(file)]) as (part,):

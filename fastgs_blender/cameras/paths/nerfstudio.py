@@ -5,6 +5,7 @@ camera_path holds a camera a frame: camera_to_world (16 numbers, row by row, Ope
 render_width, render_height, fps, seconds.  keyframes are the viewer's, with the same matrices (nerfstudio, viewer/render_panel.py,
 cameras/camera_paths.py).  The world is the trained scene's, z up.
 """
+from pathlib import Path
 from reprlib import repr as shortened
 
 import numpy as np
@@ -13,17 +14,17 @@ from ...util.errors import FastGSError
 from .. import poses
 from ..camera import LARGEST_SIDE
 from . import base
-from .base import CameraPath
+from .base import CameraPath, Picture
 
 name, label = "nerfstudio", "Nerfstudio camera path"
 MOST_KEYS = 60
 
 
-def recognises(values) -> bool:
+def recognises(values: object) -> bool:
     return isinstance(values, dict) and isinstance(values.get("camera_path"), list)
 
 
-def load(file, values, picture) -> CameraPath:
+def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     kind = values.get("camera_type", "perspective")
     if str(kind).lower() != "perspective":
         raise FastGSError(f"{file}: its cameras are of the type {shortened(kind)}, and only perspective ones can be used here.")
@@ -41,7 +42,7 @@ def load(file, values, picture) -> CameraPath:
     return CameraPath(cameras, fps, axes="RFU", names=base.names_of(values["camera_path"]))
 
 
-def save(path: CameraPath, file, picture) -> None:
+def save(path: CameraPath, file: str | Path, picture: Picture) -> None:
     base.warn_of_losses(path, label)
     fps, first = path.fps or picture.fps, path.cameras[0]
     frames = [{"camera_to_world": base.opengl_to_world(camera).ravel().tolist(), "fov": base.degrees_of(camera.fy, camera.height),

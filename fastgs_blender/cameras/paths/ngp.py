@@ -10,6 +10,8 @@ R, T: camera to world, OpenCV axes, in instant-ngp's own world: the capture's ti
 capture's y (nerf_loader.h).  timestamp i is the second at which keyframe i + 1 is reached.  Orders: 0 steps, 1 lines, 2 and 3 uniform
 B-splines, which pass by their keyframes.  Written with a keyframe a frame and order 1, so that it plays exactly.
 """
+from pathlib import Path
+
 import numpy as np
 
 from ...util import rotations
@@ -35,17 +37,17 @@ WEIGHTS = {
 """Of the keyframes around a place t in [0, 1) of a segment, beginning with segment's first (order 1) or the one before it."""
 
 
-def recognises(values) -> bool:
+def recognises(values: object) -> bool:
     entries = values.get("path") if isinstance(values, dict) else None
     return isinstance(entries, list) and bool(entries) and isinstance(entries[0], dict) and {"R", "T"} <= entries[0].keys()
 
 
-def load(file, values, picture) -> CameraPath:
+def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     base.check_frames(file, values["path"])
     keys = np.array([_key(entry, f"{file}: keyframe {i}") for i, entry in enumerate(values["path"])])
     if "fps" in values:
-        picture = Picture(*(poses.whole(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height")),
-                          poses.number(values["fps"], f"{file}: its fps", 1e-3, 1e6))
+        width, height = (poses.whole(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height"))
+        picture = Picture(width, height, poses.number(values["fps"], f"{file}: its fps", 1e-3, 1e6))
         return CameraPath([_camera(key, picture, f"{file}: keyframe {i}") for i, key in enumerate(keys)], picture.fps, axes="RFU",
                           names=base.names_of(values["path"]))
     order = poses.whole(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
@@ -60,7 +62,7 @@ def load(file, values, picture) -> CameraPath:
         (start * picture.fps, _camera(key, picture, f"{file}: keyframe {i}")) for i, (start, key) in enumerate(zip(starts, keys))])
 
 
-def save(path: CameraPath, file, picture) -> None:
+def save(path: CameraPath, file: str | Path, picture: Picture) -> None:
     base.warn_of_losses(path, label)
     fps, first = path.fps or picture.fps, path.cameras[0]
     keys = []
@@ -73,18 +75,18 @@ def save(path: CameraPath, file, picture) -> None:
                            "spline_order": 1, "fps": fps, "width": first.width, "height": first.height})
 
 
-def _key(entry, where) -> np.ndarray:
+def _key(entry: object, where: str) -> np.ndarray:
     """x y z w, position, field of view: [8]."""
-    entry = poses.table(entry, where)
-    turn = poses.numbers(entry.get("R"), (4,), f"{where}: its R")
+    given = poses.table(entry, where)
+    turn = poses.numbers(given.get("R"), (4,), f"{where}: its R")
     length = np.linalg.norm(turn)
     if length < 1e-6:
         raise FastGSError(f"{where}: its rotation R must not be 0.")
-    return np.array([*turn / length, *poses.near(poses.numbers(entry.get("T"), (3,), f"{where}: its T"), where),
-                     poses.number(entry.get("fov"), f"{where}: its fov", 0.01, 179.9)])
+    return np.array([*turn / length, *poses.near(poses.numbers(given.get("T"), (3,), f"{where}: its T"), where),
+                     poses.number(given.get("fov"), f"{where}: its fov", 0.01, 179.9)])
 
 
-def _ends(file, values, count, order, loop, fps) -> np.ndarray:
+def _ends(file: Path, values: dict, count: int, order: int, loop: bool, fps: float) -> np.ndarray:
     """Seconds at which the segments of the path end."""
     segments = count if loop else count - 1
     stamps = np.array([poses.number(entry.get("timestamp", 0), f"{file}: keyframe {i}: its timestamp", -1e15, 1e15)
@@ -97,7 +99,7 @@ def _ends(file, values, count, order, loop, fps) -> np.ndarray:
     return length * np.arange(1, segments + 1) / max(segments, 1)
 
 
-def _blend(keys, ends, order, loop, at) -> np.ndarray:
+def _blend(keys: np.ndarray, ends: np.ndarray, order: int, loop: bool, at: float) -> np.ndarray:
     """The keyframe [8] at a time in seconds."""
     if len(keys) == 1:
         return keys[0]
@@ -116,7 +118,7 @@ def _blend(keys, ends, order, loop, at) -> np.ndarray:
     return total
 
 
-def _camera(key, picture, where) -> Camera:
+def _camera(key: np.ndarray, picture: Picture, where: str) -> Camera:
     x, y, z, w = key[:4]
     rotation = CYCLE.T @ poses.from_quaternion((w, x, y, z), (0, 0, 0), where)[:3, :3]
     pose = np.eye(4)

@@ -63,7 +63,8 @@ def pairs(capture: Capture, progress: Callable[[int, int], None] = lambda done, 
     Raises FastGSError where a picture cannot be decoded.
     """
     standing = _standing(capture)
-    views, cameras = list(standing), {view: _shrunk(shots[0].camera) for view, shots in standing.items()}
+    views = list(standing)
+    cameras = {view: _shrunk(shots[0].camera) for view, shots in standing.items() if shots[0].camera is not None}
     if capture.clip.frame_count < LEAST_FRAMES or len(views) < 2:
         return views, []
     occupied = _occupancies(standing, cameras, pictures or _decoded, progress)
@@ -163,8 +164,9 @@ def _profiles(a: Camera, b: Camera, in_a: np.ndarray, in_b: np.ndarray, depths: 
     high = min(angle[each].max() for angle, each in zip(angles, seen))
     if not high > low:
         return None
-    return tuple(_profile(np.floor((angle - low) / (high - low) * PLANES), each, occupied)
-                 for angle, each, occupied in zip(angles, seen, (in_a, in_b)))
+    of_a, of_b = (_profile(np.floor((angle - low) / (high - low) * PLANES), each, occupied)
+                  for angle, each, occupied in zip(angles, seen, (in_a, in_b)))
+    return of_a, of_b
 
 
 def _rays(camera: Camera) -> np.ndarray:

@@ -45,7 +45,7 @@ def onsets(path: Path) -> np.ndarray | None:
                 length += len(parts[-1])
             if length > MOST_SECONDS * RATE:
                 break
-    if not parts:
+    if start is None:
         return None
     samples = np.concatenate(parts).astype(np.float64)
     begin = round((first - start) * RATE)  # sound before the first picture is left out

@@ -43,8 +43,8 @@ def first_clocks(capture: Capture) -> Clocks | None:
     fps = known[0].fps
     if max(abs(each.fps - fps) for each in known) > 0.01:
         return None
-    begun = [first_frame_utc(shot.image.path) for shot in first.values()]
-    by_gps = None not in begun
+    begun = [utc for shot in first.values() if (utc := first_frame_utc(shot.image.path)) is not None]
+    by_gps = len(begun) == len(first)
     starts = np.array([utc * fps for utc in begun] if by_gps else [frame_of(each.timecode, fps) for each in known], float)
     if not np.isfinite(starts).all():
         return None

@@ -13,10 +13,12 @@ import re
 from collections.abc import Sequence
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...cameras.colmap_files import ColmapImage, read_images, read_points
+from ...model.points import Points
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
 from ..pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
@@ -38,8 +40,9 @@ def recognises(path: Path) -> bool:
 def load(path: Path, options: Options) -> Capture:
     """The capture in a workspace or in its frames' workspaces."""
     path = path if path.is_dir() else path.parent
-    if model_place(path) is not None:
-        return _workspace(path, options)
+    model = model_place(path)
+    if model is not None:
+        return _workspace(path, model, options)
     frames = frame_workspaces(path)
     if not frames:
         raise FastGSError(f"{path}: there are no cameras and images files of COLMAP in it or in sparse/0.")
@@ -67,6 +70,7 @@ def _workspaces(path: Path, frames: dict[int, Path], options: Options) -> Captur
         if number - start not in chosen:
             continue
         model = model_place(folder)
+        assert model is not None
         images = read_images(model)
         top = _folder_of(folder, images)
         entries += [Entry(Path(image.name).with_suffix("").as_posix(), number - start, _source(top / image.name, image),
@@ -80,9 +84,8 @@ def _workspaces(path: Path, frames: dict[int, Path], options: Options) -> Captur
                         gaps=gaps)
 
 
-def _workspace(path: Path, options: Options) -> Capture:
+def _workspace(path: Path, model: Path, options: Options) -> Capture:
     """One model: a rig whose cameras have folders or videos, or a moment seen from everywhere."""
-    model = model_place(path)
     images = read_images(model)
     top = _folder_of(path, images)
     points = read_points(model)
@@ -97,8 +100,10 @@ def _workspace(path: Path, options: Options) -> Capture:
     faults: list[str] = []
     numbered = {view: numbered_pictures(film) for view, (film, _) in views.items() if film.is_dir()}
     start, count = frame_range(numbered.values(), top)
-    cameras, notes, fps = [], [], None
+    cameras: list[RigCamera | list[Entry]] = []
+    notes, fps = [], None
     for view, (film, registered) in views.items():
+        pictures: Sequence[Source | None]
         if view in numbered:
             pictures = [_source(numbered[view][n], registered[0]) if n in numbered[view] else None for n in range(start, start + count)]
         else:
@@ -112,9 +117,10 @@ def _workspace(path: Path, options: Options) -> Capture:
         cameras.append(moving)
     lost = [image.name for image, stream in zip(images, streams) if stream is None]
     notes += [f"left out, for they are no sequences: {', '.join(lost[:6])}{' ...' if len(lost) > 6 else ''}"] if lost else []
-    settings = dict(fps=fps or 30.0, start_frame=start, points=points, notes=notes, faults=faults)
-    if not any(isinstance(camera, list) for camera in cameras):
-        return from_rig(path, name, cameras, options, **settings)
+    settings: dict[str, Any] = dict(fps=fps or 30.0, start_frame=start, points=points, notes=notes, faults=faults)
+    rig = [camera for camera in cameras if isinstance(camera, RigCamera)]
+    if len(rig) == len(cameras):
+        return from_rig(path, name, rig, options, **settings)
     entries = [entry for camera in cameras for entry in (camera if isinstance(camera, list) else _entries(camera))]
     return from_entries(path, name, entries, options, frame_count=1 + max(entry.frame for entry in entries), **settings)
 
@@ -159,7 +165,7 @@ def _stands_still(images: Sequence[ColmapImage]) -> bool:
     return all(np.abs(image.world_to_camera - first.world_to_camera).max() < STILL and image.camera == first.camera for image in images)
 
 
-def _moving(view, images, numbered: dict[int, Path], start) -> list[Entry]:
+def _moving(view: str, images: Sequence[ColmapImage], numbered: dict[int, Path], start: int) -> list[Entry]:
     """The pictures of a camera whose registered pictures have different poses: those alone."""
     by_name = {path.name: number for number, path in numbered.items()}
     entries = []
@@ -174,7 +180,7 @@ def _entries(camera: RigCamera) -> list[Entry]:
     return [Entry(camera.name, i, source, camera.pose) for i, source in enumerate(camera.pictures) if source is not None]
 
 
-def _moment(path, images, top, points, options) -> Capture:
+def _moment(path: Path, images: Sequence[ColmapImage], top: Path, points: Points | None, options: Options) -> Capture:
     """Every registered picture is a view of one moment."""
     stems = [Path(image.name).with_suffix("").as_posix() for image in images]
     twice = len(set(stems)) < len(stems)

@@ -12,6 +12,7 @@ import json
 from collections.abc import Sequence
 from pathlib import Path
 from reprlib import repr as shortened
+from typing import Any
 
 import numpy as np
 
@@ -58,7 +59,7 @@ def load(path: Path, options: Options) -> Capture:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
     count = poses.whole(poses.needed(values, "frame_count", file), where + "its frame_count", 1, MOST_FRAMES)
     start = poses.whole(values.get("start_frame", 1), where + "its start_frame", -10**9, 10**9)
-    mask_means, axes, colour = (_choice(values, *rule, where) for rule in (
+    mask_means, axes, colour = (_choice(values, key, known, where) for key, known in (
         ("masks", MASKS), ("axes", AXES), ("colour", COLOURS)))
     faults: list[str] = []
     entries = poses.listed(poses.needed(values, "cameras", file), where + "its cameras")
@@ -79,7 +80,7 @@ def load(path: Path, options: Options) -> Capture:
         points=load_points(points) if points.is_file() else None, model=folder / BAKE if (folder / BAKE).is_file() else None)
 
 
-def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
+def _camera(folder: Path, entry: dict, where: str, count: int, start: int, colour: str, faults: list[str]) -> RigCamera:
     called = entry.get("name")
     if not isinstance(called, str) or not called or called in {".", "..", "masks"} or any(c in called for c in '/\\:*?"<>|\0'):
         raise FastGSError(f"{where} needs a name that can be a folder's, not {shortened(called)}.")
@@ -94,6 +95,7 @@ def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
     place = folder / called
     beside_it = (folder / (called + suffix) for suffix in VIDEOS)
     video = film_of(place) if place.is_dir() else next((video for video in beside_it if video.is_file()), place)
+    pictures: Sequence[Source | None]
     if not video.is_file():
         pictures = _numbered(folder / called, count, start, colour=colour, **settings)
     else:
@@ -103,12 +105,12 @@ def _camera(folder, entry, where, count, start, colour, faults) -> RigCamera:
     return RigCamera(called, pictures, _pose(entry, where, count), _numbered(masks, count, start) if masks.is_dir() else ())
 
 
-def _numbered(folder: Path, count: int, start: int, **settings) -> list[Source | None]:
+def _numbered(folder: Path, count: int, start: int, **settings: Any) -> list[Source | None]:
     found = numbered_pictures(folder) if folder.is_dir() else {}
     return [Source(found[n], **settings) if n in found else None for n in range(start, start + count)]
 
 
-def _pose(entry, where, count) -> np.ndarray:
+def _pose(entry: dict, where: str, count: int) -> np.ndarray:
     value = poses.needed(entry, "world_to_camera", where)
     moves = isinstance(value, list) and value and isinstance(value[0], list) and value[0] and isinstance(value[0][0], list)
     if not moves:
@@ -118,15 +120,15 @@ def _pose(entry, where, count) -> np.ndarray:
     return np.array([poses.rigid(pose, f"{where}: its world_to_camera of frame {i}") for i, pose in enumerate(value)])
 
 
-def _choice(values, key, known, where):
+def _choice(values: dict, key: str, known: Sequence[str], where: str) -> str:
     value = values.get(key, known[0])
     if value not in known:
         raise FastGSError(f"{where}its {key} must be one of {', '.join(known)}, not {shortened(value)}.")
     return value
 
 
-def write_cameras(folder, cameras: Sequence[dict], *, frame_count: int, fps: float, start_frame: int = 1, held_out: Sequence[str] = (),
-                  axes: str = "RDF", **more) -> Path:
+def write_cameras(folder: str | Path, cameras: Sequence[dict], *, frame_count: int, fps: float, start_frame: int = 1,
+                  held_out: Sequence[str] = (), axes: str = "RDF", **more: str) -> Path:
     """Write cameras.json into a folder, aside and renamed; returns its path.
 
     cameras  tables with name, width, height, fx, fy, cx, cy, world_to_camera ([4, 4] or [F, 4, 4]) and perhaps distortion

@@ -16,7 +16,7 @@ from reprlib import repr as shortened
 import numpy as np
 
 from ...cameras import poses
-from ...cameras.lens import Lens
+from ...cameras.lens import Intrinsics, Lens
 from ...util import rotations
 from ...util.errors import FastGSError
 from ...util.reading import read_json
@@ -67,14 +67,15 @@ def load(path: Path, options: Options) -> Capture:
     for text, lost in (("without calibration in models.json", sorted(set(videos) - set(names))),
                        ("without a video", [called for called in names if called not in videos])):
         notes += [f"left out {text}: {', '.join(lost)}"] if lost else []
-    points, remarks = prepared_points(folder, {camera.name: camera.pose for camera in cameras}, chosen_frames(cameras, options, path))
+    placed = {camera.name: camera.pose for camera in cameras if camera.pose is not None}
+    points, remarks = prepared_points(folder, placed, chosen_frames(cameras, options, path))
     notes += remarks
     notes += [f"the exposure of {called} is evened by a factor of {gain:.3g}" for called, gain in gains.items() if called in videos]
     return from_rig(path, name, cameras, options, fps=rates[0] if rates else 30.0, scale=SCALE, focal=FOCAL, held_out=[HELD_OUT],
                     notes=notes, faults=faults, points=points)
 
 
-def _lens(entry, where) -> Lens:
+def _lens(entry: dict, where: str) -> Lens:
     kind = poses.needed(entry, "projection_type", where)
     if not isinstance(kind, str) or kind not in LENSES:
         raise FastGSError(f"{where}: its projection_type {shortened(kind)} is not known; there are {', '.join(LENSES)}.")
@@ -83,7 +84,7 @@ def _lens(entry, where) -> Lens:
     return Lens(LENSES[kind], tuple(poses.numbers(radial, (count,), f"{where}: its radial_distortion")))
 
 
-def _intrinsics(entry, where):
+def _intrinsics(entry: dict, where: str) -> Intrinsics:
     focal = poses.number(poses.needed(entry, "focal_length", where), f"{where}: its focal_length")
     aspect = poses.number(entry.get("pixel_aspect_ratio", 1.0), f"{where}: its pixel_aspect_ratio", 0.1, 10)
     centre = poses.numbers(poses.needed(entry, "principal_point", where), (2,), f"{where}: its principal_point")
@@ -91,7 +92,7 @@ def _intrinsics(entry, where):
     return poses.intrinsics(where, focal, focal * aspect, *centre, *sides)
 
 
-def _pose(entry, where) -> np.ndarray:
+def _pose(entry: dict, where: str) -> np.ndarray:
     centre = poses.numbers(poses.needed(entry, "position", where), (3,), f"{where}: its position")
     axis = poses.numbers(poses.needed(entry, "orientation", where), (3,), f"{where}: its orientation")
     pose = poses.from_quaternion(rotations.exp(axis / 2), np.zeros(3), where)

@@ -17,6 +17,7 @@ from xml.etree import ElementTree as ET
 import numpy as np
 
 from ...cameras import opencv, poses
+from ...cameras.lens import Lens
 from ...util.errors import FastGSError
 from ...util.xml_files import plain_xml
 from .. import beside
@@ -45,7 +46,7 @@ def read_cameras(file: Path) -> list[opencv.Calibrated]:
     """The aligned cameras in a file, in metres where it says so; raises FastGSError."""
     chunk = plain_xml(file, LARGEST_FILE).find("chunk")
     listed = [] if chunk is None else [camera for camera in chunk.iter("camera") if camera.find("transform") is not None]
-    if not 0 < len(listed) <= MOST_CAMERAS:
+    if chunk is None or not 0 < len(listed) <= MOST_CAMERAS:
         raise FastGSError(f"{file}: it has {len(listed)} aligned cameras, and 1 to {MOST_CAMERAS} are read; align the pictures, then "
                           "export the cameras.")
     sensors = {sensor.get("id"): sensor for sensor in chunk.iter("sensor")}
@@ -73,7 +74,7 @@ def _world(component: ET.Element, where: str) -> tuple[np.ndarray, float, np.nda
     """Rotation, scale and translation from a component to metres, z up; a geocentric place becomes the origin."""
     values = [_floats(component.findtext(f"transform/{part}"), where) for part in ("rotation", "scale", "translation")]
     turn = poses.numbers(values[0] or np.eye(3).ravel(), (9,), f"{where}: its rotation").reshape(3, 3)
-    scale = poses.number(*(values[1] or [1.0])[:1], f"{where}: its scale", 1e-9, 1e9)
+    scale = poses.number((values[1] or [1.0])[0], f"{where}: its scale", 1e-9, 1e9)
     shift = poses.numbers(values[2] or np.zeros(3), (3,), f"{where}: its translation")
     if np.linalg.norm(shift) < GEOCENTRIC:
         return turn, scale, shift
@@ -83,7 +84,7 @@ def _world(component: ET.Element, where: str) -> tuple[np.ndarray, float, np.nda
     return np.stack([east, np.cross(up, east), up]) @ turn, scale, np.zeros(3)
 
 
-def _calibration(sensor: ET.Element, where: str):
+def _calibration(sensor: ET.Element, where: str) -> tuple[np.ndarray, Lens, tuple[int, int]]:
     kind = sensor.get("type", "frame")
     given = sensor.findall("calibration")
     calibration = next((each for each in given if each.get("class") == "adjusted"), given[0] if given else None)
@@ -91,20 +92,21 @@ def _calibration(sensor: ET.Element, where: str):
     if kind not in ("frame", "fisheye") or calibration is None or resolution is None:
         raise FastGSError(f"{where}: its sensor must be a calibrated frame or fisheye, not {kind}; undistort the pictures, then export "
                           "again.")
-    value = {key: poses.number(*(_floats(calibration.findtext(key), where) or [0.0])[:1], f"{where}: its {key}")
+    value = {key: poses.number((_floats(calibration.findtext(key), where) or [0.0])[0], f"{where}: its {key}")
              for key in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")}
-    size = tuple(poses.whole(*_floats(resolution.get(side), where)[:1], f"{where}: its {side}", 1, 1 << 20) for side in ("width", "height"))
+    width, height = (poses.whole((_floats(resolution.get(side), where) or [0.0])[0], f"{where}: its {side}", 1, 1 << 20)
+                     for side in ("width", "height"))
     if not value["f"] > 0:
         raise FastGSError(f"{where}: its sensor has no focal length f; export the cameras again.")
     if value["p3"] or value["p4"] or (kind == "fisheye" and (value["p1"] or value["p2"])):
         raise FastGSError(f"{where}: its lens has coefficients that are not known here (p3, p4, or p1 and p2 of a fisheye); optimise the "
                           "cameras without them, or undistort the pictures.")
-    fx, reach = value["f"] + value["b1"], np.hypot(*size) / 2 / value["f"]
-    matrix = np.array([[fx, value["b2"], size[0] / 2 + value["cx"] - 0.5], [0, value["f"], size[1] / 2 + value["cy"] - 0.5], [0, 0, 1]])
+    fx, reach = value["f"] + value["b1"], np.hypot(width, height) / 2 / value["f"]
+    matrix = np.array([[fx, value["b2"], width / 2 + value["cx"] - 0.5], [0, value["f"], height / 2 + value["cy"] - 0.5], [0, 0, 1]])
     radial = tuple(value[f"k{i}"] for i in range(1, 5))
     lens = (opencv.Lens("fisheye", radial, skew=value["b2"] / fx) if kind == "fisheye" else
             opencv.brown(radial, (value["p2"], value["p1"]), value["b2"] / fx, reach, where))
-    return matrix, lens, size
+    return matrix, lens, (width, height)
 
 
 def _floats(text: str | None, where: str) -> list[float]:

@@ -11,11 +11,13 @@ point down, right and backwards, so that (second, first, -third) are OpenCV's.  
 (github.com/Fyusion/LLFF, README).  Pictures are halved and cam00 is held out, as all published figures do.
 """
 import re
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
 
 from ...cameras import poses
+from ...model.points import Points
 from ...util.errors import FastGSError
 from ...util.numpy_files import read_array
 from ..capture import Capture, Options
@@ -56,7 +58,7 @@ def load(path: Path, options: Options) -> Capture:
     cameras, rates, sizes = zip(*read)
     notes = [f"{out} is left out: in this scene it is not synchronised with the others"] if out else []
     if (path / POINTS).is_file():
-        points = load_points(path / POINTS)
+        points: Points | None = load_points(path / POINTS)
     else:
         points, remarks = prepared_points(path, {camera.name: camera.pose for camera in cameras}, chosen_frames(cameras, options, path))
         notes += remarks
@@ -64,14 +66,14 @@ def load(path: Path, options: Options) -> Capture:
                     held_out=[cameras[0].name], points=points, notes=notes, faults=faults)
 
 
-def _camera(called, place, row, where, faults):
+def _camera(called: str, place: Path, row: np.ndarray, where: str, faults: list[str]) -> tuple[RigCamera, float | None, float]:
     """The camera, its film's frames per second or None, and its files' width against the width that its row states."""
     matrix = poses.numbers(row, (17,), where)[:15].reshape(3, 5)
     height, width, focal = matrix[:, 4]
     given = poses.intrinsics(where, focal, focal, width / 2, height / 2, width, height)
     down, right, back = matrix[:, :3].T
     pose = poses.inverse(poses.rigid(np.stack([right, down, -back, matrix[:, 3]], 1), f"{where}: its pose"))
-    pictures = None if place.is_file() else _pictures(place)
+    pictures: Sequence[Source | None] | None = None if place.is_file() else _pictures(place)
     first = Source(place, 0) if pictures is None else next((p for p in pictures if p is not None), None)
     try:
         size = picture_size(first) if first is not None else (given.width, given.height)

@@ -40,7 +40,7 @@ def load(path: Path, options: Options) -> Capture:
     folder = path if path.is_dir() else path.parent
     faults: list[str] = []
     train, count = _entries(folder, TRAIN)
-    test: list[str] = []
+    test: list[Entry] = []
     if (folder / TEST).is_file():
         test, test_count = _entries(folder, TEST)
         if test_count != count:
@@ -83,7 +83,8 @@ def _entries(folder: Path, called: str) -> tuple[list[Entry], int]:
     return entries, count
 
 
-def _entry(folder, where, view, t, k, w2c, fn, size, gain) -> Entry:
+def _entry(folder: Path, where: str, view: str, t: int, k: object, w2c: object, fn: object, size: tuple[object, object],
+           gain: float) -> Entry:
     matrix = poses.numbers(k, (3, 3), f"{where}: its k")
     if np.abs(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] - [0, 0, 0, 1]).max() > 1e-6 or abs(matrix[0, 1]) > 1e-6 * abs(matrix[0, 0]):
         raise FastGSError(f"{where}: its k must be a matrix of focal lengths and a principal point, without skew.")

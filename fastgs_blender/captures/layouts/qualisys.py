@@ -11,7 +11,9 @@ world to camera in OpenGL's axes (x right, y up, looking along -z).  Distortion 
 divides them by 64, which undoes next to none of it.  The world has z up and becomes metres.  The last camera is held out.
 """
 import re
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 from xml.etree import ElementTree as ET
 
 import numpy as np
@@ -25,7 +27,7 @@ from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
 from ..rigs import RigCamera, from_rig, lone_sentence
-from ..sources import beginning, files_at, only
+from ..sources import Source, beginning, files_at, only
 
 name = "Qualisys"
 SUBPIXELS = 64
@@ -101,28 +103,28 @@ def _places(folders: list[Path], serials: set[str]) -> dict[str, Path]:
     return found
 
 
-def _pictures(place: Path, faults, **settings):
+def _pictures(place: Path, faults: list[str], **settings: Any) -> tuple[Sequence[Source | None], float | None]:
     place = film_of(place)
     if place.is_file():
         return video_frames(place, faults, **settings)
     return numbered_sources(numbered_pictures(place), place, **settings), None
 
 
-def _part(camera, called, where) -> ET.Element:
+def _part(camera: ET.Element, called: str, where: str) -> ET.Element:
     part = camera.find(called)
     if part is None:
         raise FastGSError(f"{where} lacks <{called}>.")
     return part
 
 
-def _value(part, key, where, default=None) -> float:
+def _value(part: ET.Element, key: str, where: str, default: str | None = None) -> float:
     text = part.get(key, default)
     if text is None:
         raise FastGSError(f"{where} lacks {key} in <{part.tag}>.")
     return poses.read(text, f"{where}: its {key}")
 
 
-def _pose(camera, where) -> np.ndarray:
+def _pose(camera: ET.Element, where: str) -> np.ndarray:
     part = _part(camera, "transform", where)
     pose = np.eye(4)
     pose[:3, :3] = [[_value(part, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)]
@@ -131,27 +133,28 @@ def _pose(camera, where) -> np.ndarray:
     return pose
 
 
-def _lens(camera, where) -> Lens:
+def _lens(camera: ET.Element, where: str) -> Lens:
     part = _part(camera, "intrinsic", where)
     radial = [_value(part, f"radialDistortion{i}", where, "0") for i in (1, 2, 3)]
     p1, p2 = (_value(part, f"tangentalDistortion{i}", where, "0") for i in (1, 2))
     return Lens("opencv", tuple(radial), (p1, p2), _value(part, "skew", where, "0") / _focal(part, "focalLengthU", where))
 
 
-def _focal(part, key, where) -> float:
+def _focal(part: ET.Element, key: str, where: str) -> float:
     return poses.number(_value(part, key, where), f"{where}: its {key}", 1e-9, 1e12)
 
 
-def _intrinsics(camera, place: Path, where) -> Intrinsics:
+def _intrinsics(camera: ET.Element, place: Path, where: str) -> Intrinsics:
     """Intrinsics in pixels of the camera's pictures, which may be binned."""
     part, fov = _part(camera, "intrinsic", where), _part(camera, "fov_video", where)
     left, top, right, bottom = (poses.number(_value(fov, side, where), f"{where}: its {side}", -1e9, 1e9)
                                 for side in ("left", "top", "right", "bottom"))
     width, height = right - left + 1, bottom - top + 1
     try:
-        w, h = picture_size(first_source(place))
+        size: tuple[float, float] = picture_size(first_source(place))
     except FastGSError:  # said with all other faults
-        w, h = width, height
+        size = width, height
+    w, h = size
     if width < 2 or height < 2 or abs(w / width - h / height) > 0.01 * w / width:
         raise FastGSError(f"{place}: it has {w} x {h} pixels, but camera {camera.get('serial')} was calibrated for {width:g} x {height:g}; "
                           "give pictures of the whole calibrated part of the sensor, turned as the sensor is.")

@@ -53,12 +53,13 @@ def views_of(pictures: Sequence[Picture]) -> list[str]:
     return [name if counts[name] == 1 else f"{name}-{i}" for i, name in enumerate(each)]
 
 
-def times_of(pictures: Sequence[Picture], views: Sequence[str]) -> tuple[list[int], list[float | None], float, list[str]]:
+def times_of(pictures: Sequence[Picture], views: Sequence[str]) -> tuple[list[int], Sequence[float | None], float, list[str]]:
     """Frame and t (None: frame / frames) of each picture, frames per second, remarks."""
-    stated = [picture.time for picture in pictures]
-    if None in stated:
-        if any(time is not None for time in stated):
-            raise FastGSError(f"{pictures[stated.index(None)].stated}: this picture has no time, others have one; give all or none.")
+    stated = [picture.time for picture in pictures if picture.time is not None]
+    if len(stated) < len(pictures):
+        if stated:
+            untimed = next(picture.stated for picture in pictures if picture.time is None)
+            raise FastGSError(f"{untimed}: this picture has no time, others have one; give all or none.")
         return _untimed(pictures, views)
     distinct = sorted(set(stated))
     frames = np.searchsorted(distinct, stated).tolist()
@@ -80,7 +81,7 @@ def number(stated: str) -> int:
     return int(numbers[-1][-9:]) if numbers else 0
 
 
-def _untimed(pictures, views):
+def _untimed(pictures: Sequence[Picture], views: Sequence[str]) -> tuple[list[int], Sequence[None], float, list[str]]:
     if len(set(views)) == len(views):
         return [0] * len(pictures), [None] * len(pictures), FPS, ["it states no times: all pictures show one moment"]
     numbers = [number(picture.stated) for picture in pictures]
@@ -88,7 +89,7 @@ def _untimed(pictures, views):
     return frames, [None] * len(numbers), FPS, ["it states no times: frames are told by the pictures' numbers"]
 
 
-def _one_at_a_time(keys, moments) -> bool:
+def _one_at_a_time(keys: Sequence, moments: Sequence) -> bool:
     """Whether no key has two pictures of one moment."""
     return len(set(zip(keys, moments))) == len(moments)
 

@@ -13,6 +13,7 @@ from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ...kernels.cpu.cache import base_folder
 from ...util.errors import FastGSError
@@ -50,7 +51,7 @@ def _header(array: np.ndarray) -> bytes:
     return MAGIC + np.array([height, width, channels, array.itemsize], "<u4").tobytes()
 
 
-def read(path: Path, shape: tuple[int, int, int], kind) -> np.ndarray | None:
+def read(path: Path, shape: tuple[int, int, int], kind: DTypeLike) -> np.ndarray | None:
     """The numbers in a cached file; None where it is absent or is not what it should be."""
     try:
         with open(path, "rb", buffering=0) as stream:
@@ -58,7 +59,7 @@ def read(path: Path, shape: tuple[int, int, int], kind) -> np.ndarray | None:
                 return None
             array = np.empty(shape, kind)
             head = stream.read(HEADER)
-            view, got = memoryview(array).cast("B"), 0
+            view, got = array.data.cast("B"), 0
             while got < len(view):
                 count = stream.readinto(view[got:])
                 if not count:
@@ -76,7 +77,7 @@ def write(path: Path, array: np.ndarray) -> None:
     part = path.with_name(f".fastgs-{secrets.token_hex(6)}.tmp")
     try:
         with open(part, "wb", buffering=0) as stream:
-            for piece in (memoryview(_header(array)), memoryview(array).cast("B")):
+            for piece in (memoryview(_header(array)), array.data.cast("B")):
                 written = 0
                 while written < len(piece):
                     written += stream.write(piece[written:])

@@ -5,6 +5,7 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -56,14 +57,14 @@ def read_grey(source: Source) -> np.ndarray:
     return grey * alpha if grey.dtype == np.float32 else (grey.astype(np.uint16) * alpha // 255).astype(np.uint8)
 
 
-def _exr(path):
+def _exr(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     rgb, alpha = exr.read(path)
     with np.errstate(over="ignore"):  # colours of what is nearly transparent
         rgb = rgb if alpha is None else colour.straight(rgb, alpha)
     return np.clip(rgb, -BRIGHTEST, BRIGHTEST), alpha
 
 
-def _pillow(path):
+def _pillow(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     with opened(path) as picture:
         if picture.mode.startswith(("I", "F")):  # 16 bits of grey
             plane = np.asarray(picture, np.float32) / (65535 if picture.mode.startswith("I") else 1)
@@ -79,11 +80,11 @@ def _pillow(path):
 class _Bounded(io.BufferedReader):
     """A file whose read() makes room for no more bytes than it still has: pillow believes the lengths that a PNG states."""
 
-    def __init__(self, raw: io.FileIO) -> None:
+    def __init__(self, raw: io.RawIOBase) -> None:
         super().__init__(raw)
         self.size = os.fstat(self.fileno()).st_size
 
-    def read(self, size: int = -1) -> bytes:
+    def read(self, size: int | None = -1) -> bytes:
         left = max(self.size - self.tell(), 0)
         return super().read(left if size is None or size < 0 else min(size, left))
 
@@ -102,11 +103,11 @@ def opened(path: Path) -> Iterator:
         else:
             raise FastGSError(f"{path}: the picture cannot be read (it is no PNG or JPEG); copy or export it again.")
         with picture:
-            check_size(path, *picture.size, file.size * MOST_PIXELS_A_BYTE)
+            check_size(path, picture.width, picture.height, file.size * MOST_PIXELS_A_BYTE)
             yield picture
 
 
-def check_end(path: Path, picture) -> None:
+def check_end(path: Path, picture: Any) -> None:
     """Raise FastGSError where an opened() picture's file was cut short, without decoding it."""
     file = picture.fp
     file.seek(max(file.size - LAST, 0))

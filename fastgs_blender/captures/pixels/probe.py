@@ -53,4 +53,4 @@ def _pillow(path: Path) -> Facts:
     with opened(path) as picture:
         check_end(path, picture)
         alpha = "A" in picture.getbands() or "transparency" in picture.info
-        return Facts(*picture.size, alpha, picture.mode.startswith(("I", "F")))
+        return Facts(picture.width, picture.height, alpha, picture.mode.startswith(("I", "F")))

@@ -23,11 +23,12 @@ def resample(image: np.ndarray, source_positions: np.ndarray) -> np.ndarray:
 def positions_of(shot: Shot) -> np.ndarray | None:
     """undistortion_map() of a shot with a camera; None where its pixels are only scaled, if at all."""
     camera, image = shot.camera, shot.image
+    assert camera is not None
     return _positions(image.lens, image.intrinsics, (camera.width, camera.height, camera.fx, camera.fy, camera.cx, camera.cy))
 
 
 @lru_cache(maxsize=8)
-def _positions(lens: Lens, source: Intrinsics, target: tuple) -> np.ndarray | None:
+def _positions(lens: Lens, source: Intrinsics, target: tuple[int, int, float, float, float, float]) -> np.ndarray | None:
     camera = Camera(*target, np.eye(4))
     if lens.is_pinhole:
         sx, sy = camera.width / source.width, camera.height / source.height
@@ -39,8 +40,9 @@ def _positions(lens: Lens, source: Intrinsics, target: tuple) -> np.ndarray | No
 
 def valid(shot: Shot) -> np.ndarray | None:
     """Mask [h, w], False where the lens has no picture of a pixel; None where it has one everywhere."""
+    source = shot.image.intrinsics
     positions = None if shot.camera is None else positions_of(shot)
-    if positions is None:
+    if positions is None or source is None:
         return None
-    seen = inside(positions, shot.image.intrinsics.width, shot.image.intrinsics.height)
+    seen = inside(positions, source.width, source.height)
     return None if seen.all() else seen

@@ -7,9 +7,11 @@ stamps, or whose decoder drops frames after a jump, is read from its beginning.
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
+from fractions import Fraction
 from functools import lru_cache
 from itertools import islice
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -72,7 +74,7 @@ def _index(path: Path, _version: tuple) -> Index:
         return replace(_timed(stamps, base, rate, size), timecode=timecode)
 
 
-def _timed(stamps: list, base, rate, size) -> Index:
+def _timed(stamps: list, base: Fraction | None, rate: Fraction | None, size: tuple[int, int]) -> Index:
     """The index of frames with these time stamps, in units of `base` seconds."""
     if base is None or None in stamps or len(set(stamps)) < len(stamps):
         return Index(len(stamps), *size, float(rate or 30), 0.0, True, None)
@@ -131,7 +133,7 @@ def frames(path: Path, wanted: Sequence[int]) -> Iterator[tuple[int, np.ndarray]
             raise _undecodable(path, run[given])
 
 
-def _runs(wanted, gap=60) -> Iterator[list[int]]:
+def _runs(wanted: Sequence[int], gap: int = 60) -> Iterator[list[int]]:
     """The numbers in pieces worth jumping between."""
     run: list[int] = []
     for number in wanted:
@@ -143,7 +145,7 @@ def _runs(wanted, gap=60) -> Iterator[list[int]]:
         yield run
 
 
-def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
+def _decode(path: Path, known: Index, run: Sequence[int], from_start: bool) -> Iterator[tuple[int, np.ndarray]]:
     """The frames of a run as far as they come in order; after a jump the first one that is missing ends it quietly."""
 
     place = {stamp: i for i, stamp in enumerate(known.stamps)} if known.stamps else None
@@ -153,7 +155,7 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
         stream = container.streams.video[0]
         stream.codec_context.options = {"max_pixels": str(known.width * known.height + MARGIN)}
         stream.thread_type, stream.codec_context.thread_count = "AUTO", 2  # more cost memory: several videos are read at once
-        if not from_start:
+        if known.stamps and not from_start:
             container.seek(known.stamps[want], stream=stream, backward=True, any_frame=False)
         try:
             for frame in container.decode(stream):
@@ -164,8 +166,8 @@ def _decode(path, known, run, from_start) -> Iterator[tuple[int, np.ndarray]]:
                 if number > want:
                     break
                 yield number, frame.to_ndarray(format="rgb24")
-                want = next(left, None)
-                if want is None:
+                want = next(left, -1)
+                if want < 0:
                     return
         except Exception as error:  # a decoder raises anything on damaged films; frames() then decodes from the beginning
             if from_start:
@@ -180,7 +182,7 @@ def _undecodable(path: Path, number: int) -> FastGSError:
 
 
 @contextmanager
-def _bounded(path: Path):
+def _bounded(path: Path) -> Iterator[None]:
     """FFmpeg says that there is too little memory also for what it never asks for: a count in the file beyond its own limits."""
     try:
         yield
@@ -189,7 +191,7 @@ def _bounded(path: Path):
 
 
 @contextmanager
-def _opened(path: Path):
+def _opened(path: Path) -> Iterator[Any]:
     """A PyAV container whose first video stream has a decoder; raises FastGSError for whatever PyAV raises while it is open."""
     try:
         import av

@@ -65,6 +65,15 @@ def test_metashape_beside_films(tmp_path, tmp_path_factory):
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES, WORLD)
 
 
+def test_metashape_without_the_size_of_its_pictures(tmp_path):
+    films(tmp_path, RIG)
+    metashape(tmp_path)
+    file = tmp_path / "cameras.xml"
+    file.write_text(file.read_text().replace('width="320"', 'width=""'))
+    with pytest.raises(FastGSError, match=r"cameras\.xml.*its width"):
+        open_capture(tmp_path)
+
+
 def test_metashape_on_the_globe(tmp_path):
     """With GPS in the photographs, places count from the Earth's centre: here on the equator, where x points up."""
     films(tmp_path, RIG)
