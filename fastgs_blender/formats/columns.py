@@ -185,7 +185,7 @@ def entropies(counts: np.ndarray) -> np.ndarray:
         return -np.where(counts > 0, counts * np.log2(share), 0).sum(1)
 
 
-def unpacked(data: bytes, block: Block, count: int, order: Order) -> np.ndarray:
+def unpacked(data: bytes | memoryview, block: Block, count: int, order: Order) -> np.ndarray:
     """The whole numbers int32 [count] of a packed column; nothing is allocated on the word of the packed bytes.
 
     Raises FastGSError for damage."""

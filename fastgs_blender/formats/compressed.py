@@ -12,6 +12,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
+from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -60,8 +62,8 @@ def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: rang
     for data, count, steps, blocks in listed_segments(file, about, segments):
         parts.append((data, count, _steps(steps, kinds), blocks, total))
         total += count
-    arrays = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
-    run(lambda *part: _segment(*part, kinds, arrays), parts)
+    arrays: dict[str, Any] = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
+    run(partial(_segment, kinds, arrays), parts)
     return replace(kinds, **arrays)
 
 
@@ -70,9 +72,10 @@ def listed_segments(file: TensorFile, about: dict, segments: range | None = None
 
     Raises FastGSError where the header does not say which segments there are, or they are not there.
     """
-    counts, steps, blocks = (about.get(key) if isinstance(about, dict) else None for key in ("count", "steps", "blocks"))
-    if not all(isinstance(v, list) for v in (counts, steps, blocks)) or not len(counts) == len(steps) == len(blocks):
+    lists: list[Any] = [about.get(key) if isinstance(about, dict) else None for key in ("count", "steps", "blocks")]
+    if not all(isinstance(v, list) for v in lists) or len(set(map(len, lists))) > 1:
         raise FastGSError("its header does not say which segments it has; copy the file again.")
+    counts, steps, blocks = lists
     for i in range(len(counts)) if segments is None else segments:
         count = whole_number(counts[i], "the number of Gaussians of a segment")
         if count > SEGMENT:
@@ -84,7 +87,8 @@ def listed_segments(file: TensorFile, about: dict, segments: range | None = None
         yield data, count, steps[i], blocks[i]
 
 
-def _segment(data: np.ndarray, count: int, steps: Steps, blocks, first: int, kinds: GaussianModel, arrays: dict[str, np.ndarray]) -> None:
+def _segment(kinds: GaussianModel, arrays: dict[str, np.ndarray], data: np.ndarray, count: int, steps: Steps, blocks: object,
+             first: int) -> None:
     """Unpack a segment into the model's arrays, from row `first` on."""
     shapes = columns_of(kinds)
     if not isinstance(blocks, list) or len(blocks) != sum(int(np.prod(shape, dtype=int)) for shape in shapes.values()):
@@ -98,7 +102,7 @@ def _segment(data: np.ndarray, count: int, steps: Steps, blocks, first: int, kin
             block = columns.Block.checked(next(listed), f"{name}/{k}", order)
             if not 0 <= block.size <= len(data) - at:
                 raise FastGSError(f"its header does not say where the column {name}/{k} of a segment lies; copy the file again.")
-            flat[k] = columns.unpacked(data[at:at + block.size], block, count, order)
+            flat[k] = columns.unpacked(data[at:at + block.size].data, block, count, order)
             order.follow(flat[k] - block.centre)
             at += block.size
         codes[name] = np.moveaxis(flat.reshape((*shape, count)), -1, 0)
@@ -146,9 +150,9 @@ def _flat(codes: np.ndarray) -> np.ndarray:
     return codes.reshape(len(codes), int(np.prod(codes.shape[1:], dtype=int)))
 
 
-def _steps(values, kinds: GaussianModel) -> Steps:
+def _steps(stated: object, kinds: GaussianModel) -> Steps:
     """The steps of a segment; raises FastGSError unless all are numbers of the right shapes within reason."""
-    values = values if isinstance(values, dict) else {}
+    values: Any = stated if isinstance(stated, dict) else {}
     tables = {}
     for name, shape in (("turn", (SPREADS,)), ("motion", (LIVES, kinds.basis.terms)), ("swing", (LIVES, kinds.rotation_basis.terms))):
         table = np.array(values.get(name), dtype=object)
@@ -170,5 +174,5 @@ def _steps(values, kinds: GaussianModel) -> Steps:
                  chained, [(k, other) for k, other in paired], least)
 
 
-def _is_step(value) -> bool:
+def _is_step(value: object) -> bool:
     return isinstance(value, float) and 2.0**-LARGEST <= value <= 2.0**LARGEST

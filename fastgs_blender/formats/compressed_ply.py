@@ -5,6 +5,7 @@ Element chunk, a row for 256 Gaussians: least and greatest position, ln of scale
 packed_position and packed_scale (11, 10, 11 bits between those bounds), packed_rotation (2 bits: which component is largest, and
 3 x 10 bits for the others), packed_color (4 x 8 bits; the last is the opacity).  Element sh, if any: f_rest_* as bytes over -4..4.
 """
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -69,7 +70,7 @@ class CompressedPly(StaticFormat):
         if "min_r" in chunk.dtype.names:
             colour = _between(chunk, COLOUR, row, colour)
         features = [(colour - 0.5) / SH_C0]
-        if names:
+        if rest is not None and names:
             levels = _levels()
             harmonics = np.stack([levels[rest[f"f_rest_{i}"].astype(np.uint8)] for i in range(len(names))], 1)
             features = [from_channels(features[0], harmonics.reshape(len(vertex), 3, len(names) // 3))]
@@ -111,7 +112,7 @@ class CompressedPly(StaticFormat):
             stream.write("\n".join(lines).encode("ascii") + bounds.tobytes() + vertex.tobytes() + levels.tobytes())
 
 
-def _tables(path, header: ply.Header) -> dict[str, np.ndarray]:
+def _tables(path: Path, header: ply.Header) -> dict[str, np.ndarray]:
     """The elements as structured arrays by name, checked against the file's length and each other."""
     if not header.order:
         raise FastGSError("it is a compressed PLY in text, which no program writes; export it as binary.")
@@ -179,7 +180,7 @@ def _shares(values: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray
     return np.clip((values - low) / np.where(high > low, high - low, 1), 0, 1)
 
 
-def _packed(share: np.ndarray, places) -> np.ndarray:
+def _packed(share: np.ndarray, places: Sequence[tuple[int, int]]) -> np.ndarray:
     """Codes [N] u32 of shares [N, 3]; places: shift and greatest value of each."""
     code = np.zeros(len(share), np.uint32)
     for i, (shift, most) in enumerate(places):

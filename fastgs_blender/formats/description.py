@@ -5,11 +5,13 @@ The native file holds it whole, PLY files in comments and .splatv in its JSON, s
 """
 import json
 import math
+from collections.abc import Collection
 from dataclasses import MISSING, asdict, fields
+from typing import Any
 
 import numpy as np
 
-from ..model.appearance import APPEARANCES, Appearance, Changing
+from ..model.appearance import APPEARANCES, RGB, SH, Appearance, Changing
 from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.surroundings import Backdrop, Surroundings, Viewpoint
@@ -66,7 +68,7 @@ def is_json_table(head: bytes) -> bool:
     return head.removeprefix(b"\xef\xbb\xbf").lstrip()[:1] == b"{"
 
 
-def read_json(text: str | bytes):
+def read_json(text: str | bytes) -> Any:
     """Decoded JSON; raises FastGSError for anything else."""
     try:
         return json.loads(text)
@@ -101,13 +103,13 @@ def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
     return understand(values)
 
 
-def _one_of(value, known, what: str):
+def _one_of(value: Any, known: Collection[str], what: str) -> Any:
     if value not in known:
         raise FastGSError(f"its {what} must be one of {', '.join(known)}, not {shown(value)}.")
     return value
 
 
-def _typed(value, example, what: str):
+def _typed(value: Any, example: object, what: str) -> Any:
     """The value, if it is of the example's type and within reason."""
     number = isinstance(value, (int, float)) and not isinstance(value, bool)
     if isinstance(example, bool):
@@ -127,7 +129,7 @@ def _typed(value, example, what: str):
     return value
 
 
-def _from_fields(cls, values, what: str):
+def _from_fields(cls: type, values: object, what: str) -> Any:
     """A dataclass from a table of values of its fields' types; absent ones keep their default."""
     if not isinstance(values, dict):
         raise FastGSError(f"its {what} values are no table of names and values.")
@@ -135,7 +137,7 @@ def _from_fields(cls, values, what: str):
     return cls(**{k: _typed(values[k], example, f"its {what} {k}") for k, example in known.items() if k in values})
 
 
-def _basis(values) -> Basis:
+def _basis(values: Any) -> Basis:
     name = values.get("name") if isinstance(values, dict) else None
     if not isinstance(name, str) or name not in BASES:
         raise FastGSError(f"the basis of time {shown(name)} is unknown; this version knows {', '.join(BASES)}.")
@@ -149,16 +151,17 @@ def _described(look: Appearance) -> dict:
     return values | {"look": _described(look.look), "basis": basis_to_dict(look.basis)} if isinstance(look, Changing) else values
 
 
-def _appearance(values) -> Appearance:
+def _appearance(values: Any) -> Appearance:
     name = values.get("name") if isinstance(values, dict) else None
     if not isinstance(name, str) or name not in APPEARANCES:
         raise FastGSError(f"the appearance {shown(name)} is unknown; this version knows {', '.join(APPEARANCES)}.")
     kind = APPEARANCES[name]
     if kind is Changing:
-        look = values.get("look")
-        if not isinstance(look, dict) or look.get("name") == Changing.name:
+        given = values.get("look")
+        look = _appearance(given) if isinstance(given, dict) and given.get("name") != Changing.name else None
+        if not isinstance(look, (RGB, SH)):
             raise FastGSError("colours that change in time are of nothing known; the file is damaged.")
-        return Changing(_appearance(look), _basis(values.get("basis")))
+        return Changing(look, _basis(values.get("basis")))
     return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded
                    if key in values or key not in kind.optional})
 
@@ -169,7 +172,7 @@ def _surroundings_described(around: Surroundings) -> dict:
     return {key: value for key, value in values.items() if value}
 
 
-def _surroundings(values) -> Surroundings:
+def _surroundings(values: object) -> Surroundings:
     if not isinstance(values, dict):
         raise FastGSError("its surroundings are no table of names and values.")
     cameras = values.get("cameras", [])
@@ -180,20 +183,20 @@ def _surroundings(values) -> Surroundings:
     return Surroundings(backdrop, tuple(_from_fields(Viewpoint, camera, "cameras'") for camera in cameras), view)
 
 
-def _provenance(values) -> dict[str, str]:
+def _provenance(values: object) -> dict[str, str]:
     if not isinstance(values, dict) or not all(isinstance(v, str) for v in values.values()):
         raise FastGSError("its provenance is no table of texts.")
     return values
 
 
-def whole_number(value, what: str) -> int:
+def whole_number(value: object, what: str) -> int:
     """A JSON number that must be a count; raises FastGSError."""
     if isinstance(value, bool) or not isinstance(value, (int, float)) or not 0 <= value <= 2**53 or math.floor(value) != value:
         raise FastGSError(f"{what} cannot be {shown(value)}.")
     return int(value)
 
 
-def frame_rate(value, default: float) -> float:
+def frame_rate(value: Any, default: float) -> float:
     """A JSON value that is a number of frames per second; else the default."""
     return float(value) if type(value) in (int, float) and 0 < value < 1e6 else default
 

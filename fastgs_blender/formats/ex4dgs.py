@@ -8,8 +8,10 @@ An opacity is whole between two centres c (in intervals) and falls off beyond li
 before both centres the distance is that to the later one, as their program computes it.  What is not in the files, the cfg_args above
 them say; `near` is the distance at which their rasteriser begins.
 """
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -57,7 +59,7 @@ class Ex4DGS(SequenceFormat):
 
     def open(self, path: Path, load: Loader) -> Source:
         files = [path.with_name(STATIC), path.with_name(DYNAMIC)]
-        said = {"time_interval": 5, "time_pad": 3, "var_pad": 3, "kernel_size": 0.1, "near": 0.2, "interp_type": "cube",
+        said: dict[str, Any] = {"time_interval": 5, "time_pad": 3, "var_pad": 3, "kernel_size": 0.1, "near": 0.2, "interp_type": "cube",
                 "rot_interp_type": "slerp"}
         said |= cfg_args.beside(path)
         duration = said.get("duration", -1)
@@ -73,7 +75,7 @@ class Ex4DGS(SequenceFormat):
         drifting, drift = _drifting(files[0], raster)
         keyed = _keyed(files[1], raster)
 
-        def compute(t):
+        def compute(t: float) -> GaussianModel:
             time = t * duration
             with np.errstate(all="ignore"):
                 still = replace(drifting, position=drifting.position + drift * np.float32(time / duration))
@@ -130,9 +132,7 @@ def _static(columns: dict, degree: int, raster: Raster) -> GaussianModel:
 def _joined(one: GaussianModel, two: GaussianModel) -> GaussianModel:
     if one.appearance != two.appearance:
         raise FastGSError("its two files have spherical harmonics of different degrees; export them again.")
-    names = ("position", "rotation", "scale", "opacity", "features")
-    return replace(one, **{name: np.concatenate([getattr(one, name), getattr(two, name)]) for name in names}, mu_tau=None, motion=None,
-                   rotation_motion=None, temporal=None)
+    return replace(one, **{name: np.concatenate([array, two.arrays[name]]) for name, array in one.arrays.items()})
 
 
 def _at(keyed: Keyed, time: float, said: dict) -> GaussianModel:
@@ -161,24 +161,24 @@ def _great_circle(first: np.ndarray, second: np.ndarray, u: float) -> np.ndarray
     return rotations.unit(np.where(np.abs(mixed).sum(1, keepdims=True) > 1e-4, mixed, a))
 
 
-def _linear(b, c, u):
+def _linear(b: np.ndarray, c: np.ndarray, u: float) -> np.ndarray:
     return b * (1 - u) + c * u
 
 
-def _hermite(b, c, before, after, u):
+def _hermite(b: np.ndarray, c: np.ndarray, before: np.ndarray, after: np.ndarray, u: float) -> np.ndarray:
     return (2 * u**3 - 3 * u**2 + 1) * b + (u**3 - 2 * u**2 + u) * before + (3 * u**2 - 2 * u**3) * c + (u**3 - u**2) * after
 
 
-def _cube(a, b, c, d, u):
+def _cube(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, u: float) -> np.ndarray:
     return _hermite(b, c, (c - a) / 2, (d - b) / 2, u)
 
 
-def _pchip(a, b, c, d, u):
-    def slope(left, right):
+def _pchip(a: np.ndarray, b: np.ndarray, c: np.ndarray, d: np.ndarray, u: float) -> np.ndarray:
+    def slope(left: np.ndarray, right: np.ndarray) -> np.ndarray:
         with np.errstate(all="ignore"):
             return np.where(left * right > 0, 2 * left * right / (left + right), 0)
 
     return _hermite(b, c, slope(b - a, c - b), slope(c - b, d - c), u)
 
 
-PLACES = {"cube": _cube, "pchip": _pchip, "linear": _linear}
+PLACES: dict[str, Callable[..., np.ndarray]] = {"cube": _cube, "pchip": _pchip, "linear": _linear}

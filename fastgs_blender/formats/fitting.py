@@ -3,6 +3,7 @@
 
 All fits are least squares over each Gaussian's own lifetime, for what it does while nobody can see it does not matter.
 """
+from collections.abc import Iterator
 from dataclasses import replace
 from math import comb, pi, sqrt
 
@@ -28,7 +29,8 @@ def lifetimes(model: GaussianModel) -> tuple[np.ndarray, np.ndarray]:
     return low - short, high + short
 
 
-def polynomial(basis: Basis, constant, coefficients, mu_tau, centre, low, high, degree: int, samples: int):
+def polynomial(basis: Basis, constant: np.ndarray, coefficients: np.ndarray, mu_tau: np.ndarray, centre: np.ndarray, low: np.ndarray,
+               high: np.ndarray, degree: int, samples: int) -> Iterator[tuple[slice, np.ndarray, np.ndarray, np.ndarray]]:
     """Fit c_0 + sum_k c_k (t - centre)^k to constant + basis over low..high.
 
     constant [N, D], coefficients [N, K, D], the rest [N]; yields slices of N, the fit [n, degree + 1, D], and the true and
@@ -129,7 +131,8 @@ def still_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
                       _samples(model.rotation_basis))
     for part, fit, _, _ in fits:
         rotation[part] = fit[:, 0]
-    return replace(model, rotation=rotation, rotation_motion=None, rotation_basis=Static()), ["its rotations over time"]
+    still = model.rotation_motion[:, :0]
+    return replace(model, rotation=rotation, rotation_motion=still, rotation_basis=Static()), ["its rotations over time"]
 
 
 def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
@@ -152,8 +155,8 @@ def linear_rotation(model: GaussianModel) -> tuple[GaussianModel, list[str]]:
 def plain_colour(model: GaussianModel, keep_features: bool) -> tuple[GaussianModel, list[str]]:
     """A model whose appearance is RGB (or Features, where these may stay)."""
     if isinstance(model.appearance, Changing):
-        look = model.appearance.look
-        model, lost = plain_colour(replace(model, appearance=look, features=model.features[:, :look.width]), keep_features)
+        plain = model.appearance.look
+        model, lost = plain_colour(replace(model, appearance=plain, features=model.features[:, :plain.width]), keep_features)
         return model, ["its colours, which change in time, stay at their constant terms", *lost]
     look, f = model.appearance, model.features.astype(np.float64)
     if isinstance(look, SH):

@@ -26,7 +26,7 @@ from .static import with_largest
 from .straight import Timeline, logit, straight
 
 HEADER, FOOTER, GRIDS, WINDOWS, CHUNK, BAND, DELTA_CHUNK, FRAME, TRACK = 1, 2, 3, 4, 5, 7, 16, 0x20, 0x25
-MODELS = {"gaussian-birth": Births, "keyframe-delta": States}
+MODELS: dict[str, type[Births] | type[States]] = {"gaussian-birth": Births, "keyframe-delta": States}
 STEPS = ("pos", "scale_log", "rot", "rgb", "alpha", "motion", "time", "sigma_log")
 FPS = 30.0
 """Frames per second of a scene that is a continuum."""
@@ -45,12 +45,12 @@ class FourDGS(Format):
 
     def load(self, path: Path) -> GaussianModel:
         data = read_bytes(path, LARGEST)
-        scene, seen = None, set()
+        scene, seen = None, set[int]()
         for opcode, place, content in wire.records(memoryview(data)):
             if (scene is None) != (opcode == HEADER) or (opcode in (GRIDS, WINDOWS) and opcode in seen):
                 raise FastGSError("it does not begin with one header, or has its grids or windows twice; copy or export it again.")
             seen.add(opcode)
-            if opcode == HEADER:
+            if scene is None:
                 scene = _header(content, 1000 + len(data))
                 population = MODELS[scene.temporal_model](scene)
             elif opcode == GRIDS:
@@ -73,6 +73,7 @@ class FourDGS(Format):
             elif opcode == FRAME:
                 _frame(scene, content, path)
         damaged_if(GRIDS not in seen, "its header or its grids are missing")
+        assert scene is not None
         population.finish()
         return _model(scene)
 
@@ -154,9 +155,7 @@ def _model(scene: Scene) -> GaussianModel:
                          (begin, end))
         green, red, blue = joined[wire.COLOUR].T
         rgb = np.clip(np.stack([red + green, green, blue + green], 1) * step["rgb"], 0, 1)
-        features, look = rgb, RGB()
-        if scene.degree:
-            features, look = _harmonics(scene, rgb, n), SH(scene.degree)
+        features, look = (_harmonics(scene, rgb, n), SH(scene.degree)) if scene.degree else (rgb, RGB())
         omitted = joined[wire.OMITTED][:, 0]
         damaged_if(n and (omitted.min() < 0 or omitted.max() > 3), "a rotation in it leaves out a component that does not exist")
         rotation = with_largest(omitted, np.clip(joined[wire.ROTATION] * step["rot"], -1, 1))[:, [3, 0, 1, 2]]
@@ -172,7 +171,7 @@ def _objects(scene: Scene) -> np.ndarray:
     return np.concatenate(names or [np.zeros(0, np.int64)])
 
 
-def _own_steps(scene: Scene, ln_sigma, always, lengths) -> tuple[np.ndarray, np.ndarray]:
+def _own_steps(scene: Scene, ln_sigma: np.ndarray, always: np.ndarray, lengths: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The grids [N] of velocity and of mu, which follow from each Gaussian's own lifetime (specification, 6.3)."""
     sigma = np.exp(ln_sigma)
     half = np.clip(np.where(always, lengths, math.sqrt(-2 * math.log(scene.cutoff)) * sigma), 0.02, 2.0)

@@ -102,7 +102,8 @@ class States:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
         self.width = _band(scene.degree + 1).start
-        self.first = self.last = None
+        self.first: State | None = None
+        self.last: State | None = None
         self.end = 0.0
         self.shown = State(-1, np.zeros(0, np.int64), np.zeros((0, self.width), np.int64))
         self.since = np.zeros(0)
@@ -140,7 +141,7 @@ class States:
 
     def band(self, number: int, content: wire.Cursor) -> None:
         """Spherical harmonics of those that the last record brought to life."""
-        if self.born is None or number in self.bands:
+        if self.born is None or self.last is None or number in self.bands:
             raise FastGSError("it has spherical harmonics that belong to nothing; the file is damaged.")
         values = band_of(self.scene.degree, number, content, len(self.born))
         self.bands.add(number)
@@ -159,7 +160,7 @@ class States:
         self.scene.bands = [{b: rows[:, _band(b)] for b in range(1, self.scene.degree + 1)}]
         self.scene.spans = begin, end
 
-    def _rows(self, table, count: int, what: str) -> tuple[np.ndarray, np.ndarray]:
+    def _rows(self, table: dict[int, np.ndarray], count: int, what: str) -> tuple[np.ndarray, np.ndarray]:
         """Identities, sorted, and rows of Gaussians that are given whole."""
         identity = _named(table, count)
         order = np.argsort(identity, kind="stable")
@@ -170,7 +171,7 @@ class States:
             rows[:, columns] = table[a]
         return identity[order], rows[order]
 
-    def _update(self, rows: np.ndarray, places: np.ndarray, updates) -> None:
+    def _update(self, rows: np.ndarray, places: np.ndarray, updates: dict[int, np.ndarray]) -> None:
         """Add differences to rows; rotations are said anew."""
         for a, values in updates.items():
             damaged_if(a in FIXED, f"a delta chunk changes attribute {a}, which may not change")
@@ -190,7 +191,7 @@ class States:
 
     def _close(self) -> None:
         """Compare the last state with what was shown before it: what differs ends, and the rest goes on."""
-        if self.born is None:
+        if self.born is None or self.last is None:
             return
         damaged_if(len(self.born) and self.bands != set(range(1, self.scene.degree + 1)), "bands of spherical harmonics are missing")
         old, new = self.shown, self.last
@@ -216,7 +217,7 @@ def _band(number: int) -> slice:
     return slice(begin, begin + 3 * (2 * number + 1))
 
 
-def _named(table, count: int) -> np.ndarray:
+def _named(table: dict[int, np.ndarray], count: int) -> np.ndarray:
     """The identities of a group; raises FastGSError where there are none."""
     if wire.IDENTITY not in table:
         damaged_if(count, "its Gaussians have no identities, which keyframe-delta needs")

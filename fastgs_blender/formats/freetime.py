@@ -82,12 +82,13 @@ class FreeTimeArrays(Format):
         if not _partly(gate):
             return load(path)
         fading = usable(self._read(table, path), path)
-        if len(fading) != len(gate):
+        if gate is None or len(fading) != len(gate):
             raise FastGSError("its gates do not fit its Gaussians, or some of its numbers are not finite; use an earlier checkpoint.")
-        still = replace(fading, basis=Static(), motion=None, temporal_kind=Always(), temporal=None, mu_tau=None)
+        still = replace(fading, basis=Static(), motion=fading.motion[:, :0], temporal_kind=Always(), temporal=fading.temporal[:, :0],
+                        mu_tau=np.zeros(len(fading)))
         whole = sigmoid(fading.opacity.astype(np.float64))
 
-        def compute(t):
+        def compute(t: float) -> GaussianModel:
             now = slice_model(fading, t, cull=False)
             return replace(still, position=now.position, opacity=np.clip(logit(gate * whole + (1 - gate) * now.opacity), -OPAQUE, OPAQUE))
 
@@ -100,14 +101,14 @@ class FreeTimeArrays(Format):
                               "open it with open_source(), or turn it into one model with fastgs convert.")
         return self._read(table, path)
 
-    def _read(self, arrays, path) -> GaussianModel:
+    def _read(self, arrays: Mapping, path: Path) -> GaussianModel:
         if any(name.startswith("velocity_model.") for name in arrays):
             raise FastGSError("its velocities come from a network of FreeTimeGS++ that is not supported; train with explicit velocities.")
         frames = arrays["n_frames"].read() if "n_frames" in arrays and not arrays["n_frames"].shape else None
         return model_of(arrays, path, None if frames is None else frames.item(), True)
 
 
-def model_of(table: Mapping, path: Path, frames, moves: bool) -> GaussianModel:
+def model_of(table: Mapping, path: Path, frames: object, moves: bool) -> GaussianModel:
     """The model of arrays that are known by shape and have read(); frames: of the clip, or None."""
     found = {key: next((table[name] for name in names if name in table), None) for key, names in NAMES.items()}
     arrays = rows(found, SHAPES)
@@ -148,7 +149,7 @@ def _partly(gate: np.ndarray | None) -> bool:
     return gate is not None and bool(np.any((gate > SHUT) & (gate < 1 - SHUT)))
 
 
-def _splats(content) -> dict:
+def _splats(content: object) -> dict:
     splats = content.get("splats") if isinstance(content, dict) else None
     if not isinstance(splats, dict):
         return {}

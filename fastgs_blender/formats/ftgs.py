@@ -11,6 +11,7 @@ import warnings
 from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -102,7 +103,7 @@ def clip_of(frames: int, fps: float = 30.0) -> Clip:
     return Clip(max(1, frames - 1), fps)
 
 
-def _settings(comments: tuple[str, ...]) -> dict[str, float]:
+def _settings(comments: tuple[str, ...]) -> dict[str, Any]:
     """The header's numbers; raises FastGSError for another version, unit, or what is no such number."""
     said = dict(comment.split(None, 1) for comment in comments if len(comment.split(None, 1)) == 2)
     if said.get("ftgs_version", "1") != "1":

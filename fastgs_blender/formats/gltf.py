@@ -14,6 +14,7 @@ import struct
 import warnings
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 from urllib.parse import unquote
 
 import numpy as np
@@ -64,7 +65,7 @@ class Gltf(StaticFormat):
         found = _primitives(tree)
         if not found:
             raise FastGSError("there are no Gaussians in this glTF file (KHR_gaussian_splatting); in Blender use File > Import > glTF.")
-        buffers, assumed = _Buffers(tree, binary, path.parent), {}
+        buffers, assumed = _Buffers(tree, binary, path.parent), dict[str, None]()
         models = []
         for place, primitive in found:
             models.append(placed(_primitive(tree, primitive, buffers, assumed), place))
@@ -84,7 +85,7 @@ def _parts(path: Path) -> tuple[dict, bytes]:
         if path.stat().st_size > MAX_JSON:
             raise FastGSError("it is too large for a .gltf file of Gaussians; save it as .glb.")
         return read_table(read_whole(path)), b""
-    data, chunks, at = read_whole(path), {}, 12
+    data, chunks, at = read_whole(path), dict[int, bytes](), 12
     if int.from_bytes(data[4:8], "little") != 2:
         raise FastGSError("it is a damaged .glb file, or of another version than 2; export it again.")
     while at + 8 <= len(data):
@@ -108,7 +109,7 @@ def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
     scene = tree.get("scenes", [])[tree.get("scene", 0):][:1]
     if not scene or "nodes" not in scene[0]:
         return [(np.eye(4), p) for mesh in meshes for p in _splats(mesh)]
-    found, seen, stack = [], set(), [(index, np.eye(4)) for index in reversed(scene[0]["nodes"])]
+    found, seen, stack = [], set[int](), [(index, np.eye(4)) for index in reversed(scene[0]["nodes"])]
     while stack:
         index, above = stack.pop()
         if index in seen or len(seen) > MAX_NODES:
@@ -137,7 +138,7 @@ class _Buffers:
     """The bytes of buffers, read once."""
 
     def __init__(self, tree: dict, binary: bytes, folder: Path) -> None:
-        self.tree, self.binary, self.folder, self.known, self.spent = tree, binary, folder, {}, 0
+        self.tree, self.binary, self.folder, self.known, self.spent = tree, binary, folder, dict[int, bytes](), 0
 
     def spend(self, size: int) -> None:
         """Count bytes that become Gaussians; raises FastGSError where these are far more than there are."""
@@ -145,7 +146,7 @@ class _Buffers:
         if self.spent > OVER * sum(map(len, self.known.values())):
             raise FastGSError("its nodes show the same Gaussians many times over; export them joined into one mesh.")
 
-    def view(self, index) -> bytes:
+    def view(self, index: int) -> bytes:
         view = self.tree["bufferViews"][index]
         number = view["buffer"]
         if number not in self.known:
@@ -155,7 +156,7 @@ class _Buffers:
         return self.known[number][begin:begin + size]
 
     def _buffer(self, buffer: dict, number: int) -> bytes:
-        uri = buffer.get("uri")
+        uri: Any = buffer.get("uri")
         if uri is None and number == 0:
             return self.binary
         if uri.startswith("data:"):
@@ -168,7 +169,7 @@ class _Buffers:
         return read_whole(file)
 
 
-def _accessor(tree: dict, index, width: int, buffers: _Buffers) -> np.ndarray:
+def _accessor(tree: dict, index: int, width: int, buffers: _Buffers) -> np.ndarray:
     """Numbers [N, width] of an accessor, normalised ones as their shares."""
     accessor = tree["accessors"][index]
     kind = COMPONENTS.get(accessor["componentType"])
@@ -240,7 +241,7 @@ def _glb(model: GaussianModel) -> bytes:
                   (f"{EXTENSION}:SCALE", np.exp(model.scale.astype(np.float64))), (f"{EXTENSION}:OPACITY", alpha[:, None])]
     coefficients = model.features.reshape(n, (degree + 1) ** 2, 3)
     attributes += [(f"{EXTENSION}:SH_DEGREE_{d}_COEF_{k}", coefficients[:, d * d + k]) for d in range(degree + 1) for k in range(2 * d + 1)]
-    views, accessors, parts, at = [], [], [], 0
+    views, accessors, parts, at = [], list[dict[str, Any]](), [], 0
     for name, values in attributes:
         code = 5121 if values.dtype == np.uint8 else 5126
         data = np.ascontiguousarray(values, COMPONENTS[code]).tobytes()

@@ -17,8 +17,10 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
+from ..model.sequence import Source
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if, exactly, open_file
+from .base import Loader
 from .description import frame_rate, read_table, whole_number
 from .packing import unlz4
 from .sequences import SequenceFormat, within
@@ -45,10 +47,10 @@ class Gsd(SequenceFormat):
     name = "GSD sequence"
     reads = (".gsd",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(MAGIC)
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         header, frames = _layout(path)
         degree = whole_number(header.get("shDegree", 0), "its degree of spherical harmonics")
         kinds = [whole_number(header.get(key, 0), f"its {key}") for key in PRECISIONS]

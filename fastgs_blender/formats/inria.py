@@ -11,6 +11,7 @@ Gaussians.
 """
 import math
 import warnings
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import numpy as np
@@ -125,7 +126,7 @@ def says_antialiased(header: ply.Header) -> bool:
     return not said.isdisjoint(("splatrendermodemip", "antialiased1"))
 
 
-def in_file_order(model: GaussianModel):
+def in_file_order(model: GaussianModel) -> Iterator[tuple[Sequence[str], np.ndarray]]:
     """The colour columns, channel after channel."""
     yield ("f_dc_0", "f_dc_1", "f_dc_2"), model.features[:, :3]
     rest = model.appearance.width // 3 - 1

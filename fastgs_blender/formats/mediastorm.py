@@ -43,7 +43,7 @@ class MediastormPly(Format):
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "time": (centre, "t_scale")})
         time, velocity = columns.pop("time"), columns.pop("velocity")
         frames = last_frame(time[:, 0], FPS) + 1
-        lives = straight(columns.pop("position"), velocity, *time.T, Timeline(length=frames / FPS))
+        lives = straight(columns.pop("position"), velocity, time[:, 0], time[:, 1], Timeline(length=frames / FPS))
         return GaussianModel(**columns, **lives, appearance=SH(degree), clip=Clip(frames, FPS))
 
 

@@ -134,7 +134,7 @@ def names(meta: dict, key: str, count: int) -> list[str]:
     return [plain(name) for name in found[:count]]
 
 
-def numbers(values, count: int) -> np.ndarray:
+def numbers(values: object, count: int) -> np.ndarray:
     """A list of numbers, `count` of them at least."""
     good = isinstance(values, list) and len(values) >= count and all(type(v) in (int, float) and abs(v) < 1e30 for v in values)
     damaged_if(not good, "meta.json has something else where numbers should be")
@@ -152,12 +152,13 @@ def table(part: dict, key: str = "codebook") -> np.ndarray:
     return np.concatenate([values, np.zeros(256 - len(values))])
 
 
-def sixteen_bits(files, low: str, high: str, count: int) -> np.ndarray:
-    """Shares [count, 4] in 0..1 of the numbers whose low and high bytes two pictures hold."""
+def sixteen_bits(files: Folder, pair: list[str], count: int) -> np.ndarray:
+    """Shares [count, 4] in 0..1 of the numbers whose low and high bytes a pair of pictures holds."""
+    low, high = pair
     return (pixels(files, low, count) + 256.0 * pixels(files, high, count)) / 65535
 
 
-def pixels(files, name: str, count: int) -> np.ndarray:
+def pixels(files: Folder, name: str, count: int) -> np.ndarray:
     """The first `count` pixels of a picture, [count, 4] u8 as integers."""
     found = picture(files, name, 2 * count + (1 << 16)).reshape(-1, 4)
     if len(found) < count:
@@ -165,7 +166,7 @@ def pixels(files, name: str, count: int) -> np.ndarray:
     return found[:count].astype(np.intp)
 
 
-def picture(files, name: str, most: int) -> np.ndarray:
+def picture(files: Folder, name: str, most: int) -> np.ndarray:
     """A picture [h, w, 4] u8 of at most `most` pixels, which its header tells before anything is unpacked."""
     from PIL import Image
 

@@ -10,7 +10,7 @@ from functools import cached_property
 from itertools import islice
 from pathlib import Path
 from threading import Lock
-from typing import BinaryIO
+from typing import Any, BinaryIO, Literal
 
 import numpy as np
 
@@ -93,7 +93,7 @@ def read_header(path: Path) -> Header:
     """The header of a PLY file; raises FastGSError for a broken one."""
     with open_file(path) as stream:
         head = stream.read(MAX_HEADER)
-    lines, size = [], 0
+    lines, size = list[str](), 0
     while size < len(head):
         end = head.find(b"\n", size)
         if end < 0:
@@ -108,7 +108,7 @@ def read_header(path: Path) -> Header:
 
 
 def _parse(lines: list[str], size: int) -> Header:
-    order, comments, elements, columns = None, [], {}, None
+    order, comments, elements, columns = None, [], {}, dict[str, Property]()
     for number, line in enumerate(lines):
         key, *words = line.split() or [""]
         try:
@@ -127,7 +127,7 @@ def _parse(lines: list[str], size: int) -> Header:
                 damaged_if(len(elements) > MAX_ELEMENTS, f"its PLY header names more than {MAX_ELEMENTS} elements")
             elif key == "property":
                 prop = _property(words)
-                _expect(columns is not None and prop.name not in columns)
+                _expect(bool(elements) and prop.name not in columns)
                 columns[prop.name] = prop
             else:
                 _expect(key in ("obj_info", ""))
@@ -166,7 +166,7 @@ def _named(properties: Iterable[Property]) -> tuple[Property, ...]:
     return tuple(found)
 
 
-def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str] | str]) -> dict[str, np.ndarray]:
+def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str] | str]) -> dict[str, Any]:
     """Columns of the vertices, in one pass over the file: for each group of names an array [N, len(names)] float32, for one name [N].
 
     Raises FastGSError where columns are missing, or the file is shorter or longer than its header says, or holds lists among the vertices.
@@ -200,11 +200,11 @@ def read_vertices(path: Path, header: Header, groups: Mapping[str, Sequence[str]
                 for key, index in columns.items():
                     np.take(block, index, axis=1, out=out[key][first:last], mode="clip")  # no index is cut; other modes copy once more
                 return
-            block = np.frombuffer(data, row)
+            table = np.frombuffer(data, row)
             with np.errstate(over="ignore", invalid="ignore"):
                 for key, names in named.items():
                     for i, name in enumerate(names):
-                        out[key][first:last, i] = block[name]
+                        out[key][first:last, i] = table[name]
 
         if header.order:
             run(read, ranges(vertex.count, max(1, BLOCK // row.itemsize)))
@@ -264,7 +264,7 @@ def _check_rest(rest: bytes) -> None:
 
 def _walk_lists(stream: BinaryIO, element: Element, header: Header, length: int) -> None:
     """Skip the rows of an element with lists."""
-    order = "big" if header.order == ">" else "little"
+    order: Literal["big", "little"] = "big" if header.order == ">" else "little"
     steps = [(int(p.count_code[1:] or 0), p.count_code.startswith("i"), int(p.code[1:])) for p in element.properties]
     for _ in range(element.count):
         for count_size, signed, size in steps:

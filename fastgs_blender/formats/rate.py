@@ -82,7 +82,7 @@ class Loss:
     def of(cls, value: float | str) -> Loss:
         """A loss by its name in LEVELS, or in dB; raises FastGSError."""
         with contextlib.suppress(TypeError, ValueError):
-            decibels = float(LEVELS.get(value, value))
+            decibels = float(LEVELS.get(str(value), value))
             if LEAST <= decibels <= MOST:
                 return cls(decibels)
         raise FastGSError(f"a file is compressed {' or '.join(LEVELS)}, or by a loss from {LEAST:g} to {MOST:g} dB, not {value!r}.")

@@ -12,6 +12,7 @@ becomes a smaller one.
 """
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -99,7 +100,7 @@ def in_parts(ready: Prepared, level: float, segment: int) -> list[tuple[dict[str
     return [quantised(ready.part(slice(at, at + segment)), level) for at in range(0, len(ready.model), segment)]
 
 
-def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], kinds: GaussianModel) -> dict[str, np.ndarray]:
+def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], kinds: GaussianModel) -> dict[str, Any]:
     """The arrays that a reader of these parts has."""
     arrays = [restored(codes, steps, kinds) for codes, steps in parts]
     return {name: np.concatenate([each[name] for each in arrays]).astype(np.float32) for name in kinds.arrays} if arrays else kinds.arrays
@@ -134,7 +135,7 @@ def _reach(ready: Prepared) -> np.ndarray:
     return np.maximum(np.sqrt(np.mean(weights**2, axis=1)), 1e-9)
 
 
-def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Shot) -> tuple[dict[str, np.ndarray], float]:
+def _gradients(backend: Any, model: GaussianModel, original: GaussianModel, shot: Shot) -> tuple[dict[str, np.ndarray], float]:
     """Gradients of the mean squared difference between a shot's two pictures by the model's arrays, and this difference."""
     truth = pictures(original, [shot])[0]
     picture = backend.forward(parameters_of(model, backend), model, shot.camera, float(shot.t))
@@ -147,7 +148,7 @@ def _gradients(backend, model: GaussianModel, original: GaussianModel, shot: Sho
 
 def _after(model: GaussianModel, change: dict[str, np.ndarray]) -> GaussianModel:
     """The model with its arrays changed, and unit quaternions."""
-    arrays = {name: array + change.get(name, 0) for name, array in model.arrays.items()}
+    arrays: dict[str, Any] = {name: array + change.get(name, 0) for name, array in model.arrays.items()}
     length = np.maximum(np.linalg.norm(arrays["rotation"].astype(np.float64), axis=1), 1e-12)
     arrays["rotation"] = rotations.unit(arrays["rotation"].astype(np.float64))
     arrays["rotation_motion"] = arrays["rotation_motion"] / length[:, None, None]

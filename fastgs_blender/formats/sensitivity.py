@@ -9,7 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -133,8 +133,8 @@ def resized(camera: Camera, width: int) -> Camera:
     """The camera with pictures whose longer side has `width` pixels."""
     factor = width / max(camera.width, camera.height)
     across, down = (max(1, round(side * factor)) for side in (camera.width, camera.height))
-    lens = (value * factor for value in (camera.fx, camera.fy, camera.cx, camera.cy))
-    return Camera(across, down, *lens, camera.world_to_camera)
+    fx, fy, cx, cy = (value * factor for value in (camera.fx, camera.fy, camera.cx, camera.cy))
+    return Camera(across, down, fx, fy, cx, cy, camera.world_to_camera)
 
 
 def guessed_cameras(model: GaussianModel) -> list[Camera]:
@@ -187,7 +187,7 @@ def sensitivity(model: GaussianModel, series: list[Shot], progress: Callable[[fl
     backend = differentiable()
     parameters = parameters_of(model, backend)
     parameters["opacity"] = backend.array(np.minimum(model.opacity, OPAQUE))
-    n, rows = len(model), {}
+    n, rows = len(model), dict[str, np.ndarray]()
     for k, (camera, t, background) in enumerate(series):
         picture = backend.forward(parameters, model, camera, float(t))
         rgb, alpha = backend.numpy(picture.rgb), backend.numpy(picture.alpha)
@@ -230,14 +230,14 @@ def removal(model: GaussianModel, found: Sensitivity) -> np.ndarray:
     return harm + UNSEEN * usual * found.promise
 
 
-def parameters_of(model: GaussianModel, backend) -> dict:
+def parameters_of(model: GaussianModel, backend: Any) -> dict[str, Any]:
     """The model's arrays, its decoder's among them, as a TrainingBackend takes them."""
     look = model.appearance
     decoder = {"w1": look.w1, "w2": look.w2} if isinstance(look, Features) else {}
     return {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
 
 
-def differentiable():
+def differentiable() -> Any:
     """The TrainingBackend that pictures are differentiated with; raises FastGSError where it is missing."""
     try:
         return load_backend("cpu")

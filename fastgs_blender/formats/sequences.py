@@ -200,13 +200,14 @@ def numbered_files(path: Path, below: bool = True) -> list[tuple[int, Path]]:
         found = names if any(map(is_frame, names)) or not below else _names_below(path)
         return [(n, path / name) for n, name in one_sequence(found, "the folder")]
     place = PLACE.search(path.name)
+    assert place is not None
     number = pattern_of(path.name[:place.start()], path.name[place.end():])
-    found = sorted((int(m[1]), path.parent / m[0]) for m in map(number.fullmatch, _names(path.parent)) if m)
+    files = sorted((int(m[1]), path.parent / m[0]) for m in map(number.fullmatch, _names(path.parent)) if m)
     if place[1] is not None:
-        found = [pair for pair in found if int(place[1]) <= pair[0] <= int(place[2])]
-    if not found:
+        files = [pair for pair in files if int(place[1]) <= pair[0] <= int(place[2])]
+    if not files:
         raise FastGSError("there are no such files; check the folder and the name.")
-    return once(found)
+    return once(files)
 
 
 def grouped(paths: Iterable[Path]) -> list[Path]:
@@ -268,7 +269,7 @@ def _contents(path: Path, tell: bool = True) -> tuple[dict[str, zipfile.ZipInfo]
     return infos, taken, beside
 
 
-def _sequence(numbers: list[int], read, state, about: str) -> Sequence:
+def _sequence(numbers: list[int], read: Callable[[int], GaussianModel], state: Callable[[int], tuple], about: str) -> Sequence:
     at = np.array(numbers, np.float64) - numbers[0]
     step = math.gcd(*(n - numbers[0] for n in numbers)) or 1
     at /= step
@@ -279,7 +280,7 @@ def _sequence(numbers: list[int], read, state, about: str) -> Sequence:
         warnings.warn(LossWarning(f"{about}: {missing} of {int(at[-1]) + 1} frames are missing; their neighbours are shown."), stacklevel=4)
     first: list[str] = []
 
-    def oriented(i):
+    def oriented(i: int) -> GaussianModel:
         model = read(i)
         if not first:
             first.append(model.axes)
@@ -288,7 +289,7 @@ def _sequence(numbers: list[int], read, state, about: str) -> Sequence:
     return Sequence(FreeClip(int(at[-1]) + 1, start_frame=min(numbers[0], 10**9)), at, oriented, state, about)
 
 
-def _still(model: GaussianModel, name) -> GaussianModel:
+def _still(model: GaussianModel, name: object) -> GaussianModel:
     """The model, if nothing in it changes in time."""
     if model.basis.terms or model.rotation_basis.terms or not isinstance(model.temporal_kind, Always):
         raise FastGSError(f"{name}: this frame changes over time itself; open it alone.")

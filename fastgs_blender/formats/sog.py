@@ -107,10 +107,10 @@ def decoded(meta: dict, files: tables.Folder) -> GaussianModel:
         raster=Raster(antialiased=meta.get("model") == "antialiased" or meta.get("antialias") is True))
 
 
-def logarithmic(meta: dict, key: str, files, count: int) -> np.ndarray:
+def logarithmic(meta: dict, key: str, files: tables.Folder, count: int) -> np.ndarray:
     """Numbers [count, 3] of a part, kept as shares of 16 bits between bounds of sign(x) ln(|x| + 1)."""
     low, high = tables.bounds(tables.part(meta, key), 3)
-    share = tables.sixteen_bits(files, *tables.names(meta, key, 2), count)[:, :3]
+    share = tables.sixteen_bits(files, tables.names(meta, key, 2), count)[:, :3]
     logarithm = low + share * np.where(high == low, 1, high - low)
     return np.sign(logarithm) * np.expm1(np.abs(logarithm))
 
@@ -131,7 +131,7 @@ def _colours(part: dict, pixels: np.ndarray, version: int) -> tuple[np.ndarray, 
     return values[:, :3], values[:, 3]
 
 
-def _harmonics(meta: dict, names: dict, files, count: int, version: int) -> tuple[int, np.ndarray]:
+def _harmonics(meta: dict, names: dict, files: tables.Folder, count: int, version: int) -> tuple[int, np.ndarray]:
     """The degree, and the coefficients above degree 0 [N, 3 (B - 1)], r g b each."""
     part = tables.part(meta, "shN")
     picture = tables.picture(files, names["shN"][0], BESIDE * 65536)
@@ -162,7 +162,7 @@ def _encoded(model: GaussianModel) -> tuple[dict, dict[str, bytes]]:
     """meta.json and the pictures of version 2."""
     n, (width, height) = len(model), _size(len(model))
 
-    def picture(*columns) -> bytes:
+    def picture(*columns: np.ndarray) -> bytes:
         pixels = np.zeros((width * height, 4), np.uint8)
         pixels[:n] = np.concatenate([np.reshape(c, (n, -1)) for c in columns], 1)
         return tables.webp(pixels.reshape(height, width, 4))

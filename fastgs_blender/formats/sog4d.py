@@ -8,6 +8,7 @@ A file of several ("sog4d_multi") has one of these in a folder, and static ones,
 seen in a part of the clip) and pictures of surroundings are ignored.  The other `.sog4d`, of gsplat-unity, is in sog4d_frames.py.
 """
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
@@ -42,10 +43,10 @@ class Sog4d(Format):
     name = "SOG4D (SuperSplat 4D)"
     reads = (".sog4d",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return tables.meta_of(head, path).get("type") in KINDS
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         with tables.opened(path) as files:
             meta = files.meta()
             parts, timed = [], meta
@@ -62,26 +63,26 @@ class Sog4d(Format):
         return together(parts, timed)
 
 
-def _folder(part, name: str) -> str:
+def _folder(part: object, name: str) -> str:
     """The folder of a part."""
     path = part.get("path", name) if isinstance(part, dict) else name
     return tables.plain(path.rstrip("/") if isinstance(path, str) else path)
 
 
-def _still(meta: dict, files) -> Part:
+def _still(meta: dict, files: tables.Folder) -> Part:
     model = sog.decoded({"version": 2} | meta, files)
     n = len(model)
     return Part(model, np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf))
 
 
-def _moving(meta: dict, files) -> Part:
+def _moving(meta: dict, files: tables.Folder) -> Part:
     model = sog.decoded({key: value for key, value in meta.items() if key != "shN"} | {"version": 2}, files)
     n, part = len(model), tables.part(meta, "trbf")
     if part.get("encoding", "quantize16") == "kmeans":
         code = tables.pixels(files, tables.names(meta, "trbf", 1)[0], n)
         centre, ln_width = (tables.table(part, f"{key}_codebook")[code[:, i]] for i, key in enumerate(("center", "scale")))
     else:
-        share = tables.sixteen_bits(files, *tables.names(meta, "trbf", 2), n)
+        share = tables.sixteen_bits(files, tables.names(meta, "trbf", 2), n)
         ends = {key: tables.numbers([part.get(key)], 1)[0] for key in ("center_min", "center_max", "scale_min", "scale_max")}
         centre, ln_width = (_between(ends[f"{key}_min"], ends[f"{key}_max"], share[:, i]) for i, key in enumerate(("center", "scale")))
     return Part(model, sog.logarithmic(meta, "motion", files, n), centre, np.maximum(np.exp(ln_width), NARROWEST))

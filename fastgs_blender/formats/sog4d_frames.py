@@ -10,15 +10,18 @@ how sequences do it.
 """
 import struct
 from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel
-from ..model.sequence import FreeClip
+from ..model.sequence import FreeClip, Source
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if
 from . import pixel_tables as tables
+from .base import Loader
 from .description import whole_number
 from .frame_names import MOST_FRAMES
 from .sequences import SequenceFormat, within
@@ -51,25 +54,27 @@ class Sog4dFrames(SequenceFormat):
     name = "SOG4D (gsplat-unity)"
     reads = (".sog4d",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         meta = tables.meta_of(head, path)
         return meta.get("format") == "sog4d" or {"streams", "splatCount", "frameCount"} <= meta.keys()
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         with tables.opened(path) as files:
             layout = _layout(files.meta(), files)
 
-        def read(i):
+        def read(i: int) -> GaussianModel:
             with tables.opened(path) as files:
                 return _frame(layout, i, files)
 
         return within(path, FreeClip(max(1, layout.frames - 1)), layout.at, read, alike=True)
 
 
-def _layout(meta: dict, files) -> _Layout:
+def _layout(meta: dict, files: tables.Folder) -> _Layout:
     version = meta.get("version", 1)
     if version not in (1, 2):
         raise FastGSError(f"it is of version {str(version)[:20]}; versions 1 and 2 are read.")
+    if not isinstance(files, tables.Archive):
+        raise FastGSError("its pictures lie beside it, and they are read from one .sog4d file; pack its folder as a zip file.")
     count, frames = (whole_number(meta.get(key), f"its {key}") for key in ("splatCount", "frameCount"))
     streams, shape = tables.part(meta, "streams"), tables.part(meta, "layout")
     if not 1 <= frames <= min(MOST_FRAMES, len(files.members)):
@@ -78,12 +83,12 @@ def _layout(meta: dict, files) -> _Layout:
     if shape.get("type") != "row-major" or whole_number(shape.get("width"), "width") * whole_number(shape.get("height"), "height") < count:
         raise FastGSError("its layout holds fewer Gaussians than it says, or is of an unknown type; export it again.")
     place, sizes, colours = (tables.part(streams, key) for key in ("position", "scale", "sh"))
-    bounds = tuple(_triples(place.get(key), frames, f"position {key}") for key in ("rangeMin", "rangeMax"))
+    low, high = (_triples(place.get(key), frames, f"position {key}") for key in ("rangeMin", "rangeMax"))
     listed = sizes.get("codebook")
     scales = _triples(listed, len(listed) if isinstance(listed, list) else 0, "scale codebook")
     with np.errstate(all="ignore"):
         scales = np.log(np.maximum(scales, 1e-8))
-    return _Layout(count, frames, _times(meta, frames), bounds, scales, streams, _palettes(colours, version, files))
+    return _Layout(count, frames, _times(meta, frames), (low, high), scales, streams, _palettes(colours, version, files))
 
 
 def _times(meta: dict, frames: int) -> np.ndarray:
@@ -98,15 +103,15 @@ def _times(meta: dict, frames: int) -> np.ndarray:
     return times * max(1, frames - 1) - JUMP * later
 
 
-def _triples(values, count: int, what: str) -> np.ndarray:
+def _triples(values: Any, count: int, what: str) -> np.ndarray:
     """Triples [count, 3], written as {x, y, z} or as lists; the list may be longer."""
     rows = [[value.get(axis) for axis in "xyz"] if isinstance(value, dict) else value for value in values[:count]]
     return np.stack([tables.numbers(row, 3)[:3] for row in rows])
 
 
-def _palettes(about: dict, version: int, files) -> list[dict]:
+def _palettes(about: dict, version: int, files: tables.Folder) -> list[dict]:
     """For each palette of higher harmonics its centroids [K, C, 3], and where its labels are."""
-    bands = whole_number(about.get("bands", 0), "its bands")
+    bands, parts = whole_number(about.get("bands", 0), "its bands"), list[tuple[dict[str, Any], int]]()
     if bands > len(BANDS):
         raise FastGSError(f"it has {bands} bands of spherical harmonics; at most {len(BANDS)} are read.")
     if version == 1 and bands:
@@ -125,12 +130,12 @@ def _palettes(about: dict, version: int, files) -> list[dict]:
     return found
 
 
-def _picture(files, template, frame: int, count: int) -> np.ndarray:
+def _picture(files: tables.Folder, template: Any, frame: int, count: int) -> np.ndarray:
     """The pixels [N, 4] of a stream at a frame."""
     return tables.pixels(files, template.replace("{frame}", f"{frame:05}"), count)
 
 
-def _frame(layout: _Layout, i: int, files) -> GaussianModel:
+def _frame(layout: _Layout, i: int, files: tables.Folder) -> GaussianModel:
     n, streams = layout.count, layout.streams
     place, colour = streams["position"], streams["sh"]
     share = (_picture(files, place.get("loPath"), i, n) + 256.0 * _picture(files, place.get("hiPath"), i, n))[:, :3] / 65535
@@ -152,7 +157,7 @@ def _labels(pixels: np.ndarray, entries: int, what: str) -> np.ndarray:
     return label
 
 
-def _palette_labels(palette: dict, i: int, n: int, files) -> np.ndarray:
+def _palette_labels(palette: dict, i: int, n: int, files: tables.Folder) -> np.ndarray:
     """The numbers [N] of a palette's entries at frame i."""
     entries = len(palette["centroids"])
     if not palette["deltaSegments"]:

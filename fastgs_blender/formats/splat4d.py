@@ -44,10 +44,10 @@ class Splat4d(Format):
     name = "splat4d"
     reads = (".splat4d",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(MAGIC) or _records_only(head, path)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         data = read_bytes(path, LARGEST)
         if data.startswith(MAGIC):
             return _with_sections(data, path)

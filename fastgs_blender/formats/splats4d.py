@@ -14,15 +14,16 @@ import struct
 import threading
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 from ..model.appearance import RGB
 from ..model.gaussians import Clip, GaussianModel
+from ..model.sequence import Source
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if, exactly, open_file
 from . import packing, pixel_tables
+from .base import Loader
 from .description import frame_rate, read_table, whole_number
 from .frame_names import MOST_FRAMES
 from .sequences import SequenceFormat, within
@@ -50,10 +51,10 @@ class Splats4D(SequenceFormat):
     name = "splats4D"
     reads = (".splat4d",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(MAGIC)
 
-    def open(self, path, load):
+    def open(self, path: Path, load: Loader) -> Source:
         film = _Film(path)
         return within(path, film.clip, np.arange(film.frames), film.frame, alike=True)
 
@@ -81,8 +82,8 @@ class _Film:
             stream.seek(begin)
             self._changing, self._base = _static(exactly(stream, size), self.count)
         self.clip = Clip(self.frames, frame_rate(about.get("fps"), 30.0))
-        self._group, self._streams = -1, dict[str, Any]()
-        self._at, self._now = -1, dict[str, Any]()
+        self._group, self._streams = -1, dict[tuple[int, int], np.ndarray]()
+        self._at, self._now = -1, dict[int, np.ndarray]()
 
     def frame(self, i: int) -> GaussianModel:
         """The model of frame i."""

@@ -166,15 +166,15 @@ def _axes(extensions: bytes) -> str:
 def _decode(version: int, count: int, degree: int, fraction: int, arrays: list[bytes]) -> GaussianModel:
     position, opacity, colour, scale, rotation, rest = (np.frombuffer(a, np.uint8) for a in arrays)
     if version == 1:
-        position = position.view("<f2").reshape(count, 3).astype(np.float32)
+        place = position.view("<f2").reshape(count, 3).astype(np.float32)
     else:
         parts = position.reshape(count, 3, 3).astype(np.int32)
         whole = parts[..., 0] | parts[..., 1] << 8 | (parts[..., 2] ^ 0x80) << 16
-        position = (whole - (1 << 23)) / np.float64(1 << fraction)
-    rest = (rest.reshape(count, 3 * ((degree + 1) ** 2 - 1)) - 128.0) / 128
-    features = np.concatenate([(colour.reshape(count, 3) / 255 - 0.5) / COLOUR, rest], 1)
+        place = (whole - (1 << 23)) / np.float64(1 << fraction)
+    harmonics = (rest.reshape(count, 3 * ((degree + 1) ** 2 - 1)) - 128.0) / 128
+    features = np.concatenate([(colour.reshape(count, 3) / 255 - 0.5) / COLOUR, harmonics], 1)
     return GaussianModel(
-        position=position, rotation=_quaternions(rotation, count, version), scale=scale.reshape(count, 3) / 16 - 10,
+        position=place, rotation=_quaternions(rotation, count, version), scale=scale.reshape(count, 3) / 16 - 10,
         opacity=logits()[opacity], features=features, appearance=SH(degree))
 
 

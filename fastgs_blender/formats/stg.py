@@ -100,9 +100,10 @@ class SpacetimeGaussians(Format):
         return [decoder, path]
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        full = isinstance(model.appearance, Features)
-        if full:
-            weights = {"w1": model.appearance.w1, "w2": model.appearance.w2}
+        look = model.appearance
+        full = isinstance(look, Features)
+        if isinstance(look, Features):
+            weights = {"w1": look.w1, "w2": look.w2}
             torch_zip.write(targets[0], {name: weights[key].reshape(shape) for key, (name, shape) in DECODER.items()})
         n = len(model)
         if isinstance(model.basis, Fourier):
@@ -115,10 +116,10 @@ class SpacetimeGaussians(Format):
             motion[:, :3 * model.basis.terms] = model.motion.reshape(n, 3 * model.basis.terms)
         omega = model.rotation_motion[:, 0] if model.rotation_basis.terms else np.zeros((n, 4), np.float32)
         width = -0.5 * model.temporal if isinstance(model.temporal_kind, Radial) else np.full((n, 1), STEEP / 2, np.float32)
-        look = [(FULL[:6] if full else LITE, model.features[:, :6])]
         ply.write(targets[-1], [f"Written by {generator()}", *comments(model, KEYS)[0]], [
             (POSITION, model.position), (("trbf_center",), model.mu_tau[:, None]), (("trbf_scale",), width),
-            (NORMAL, np.broadcast_to(np.float32(0), (n, 3))), ([f"motion_{i}" for i in range(motion.shape[1])], motion), *look,
+            (NORMAL, np.broadcast_to(np.float32(0), (n, 3))), ([f"motion_{i}" for i in range(motion.shape[1])], motion),
+            (FULL[:6] if full else LITE, model.features[:, :6]),
             (("opacity",), model.opacity[:, None]), (SCALE, model.scale), (ROTATION, model.rotation), (OMEGA, omega),
             *([(FULL[6:], model.features[:, 6:])] if full else [])])
 

@@ -6,6 +6,7 @@ The law is that of sog4d.py: motion is a velocity, trbf_scale ln of the width, a
 It differs from Spacetime Gaussians in having three columns of motion and none of omega, and spherical harmonics as colours.
 """
 import re
+from pathlib import Path
 
 import numpy as np
 
@@ -26,10 +27,10 @@ class SuperSplatPly(Format):
     name = "SuperSplat 4D PLY"
     reads = (".ply",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         return head.startswith(b"ply") and is_dynamic(ply.read_header(path).names)
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         header = ply.read_header(path)
         degree, groups = static_columns(header, path)
         columns = ply.read_vertices(path, header, groups | {"velocity": MOTION, "bell": BELL})

@@ -11,7 +11,7 @@ import pickletools
 import struct
 import warnings
 import zipfile
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -81,7 +81,7 @@ class TorchFile:
     def __init__(self, path: Path) -> None:
         self.path = path
         with _opened(path) as archive:
-            self.length = archive.fp.seek(0, 2)
+            self.length = path.stat().st_size
             names = [n for n in archive.namelist() if n == "data.pkl" or n.endswith("/data.pkl")]
             if len(names) != 1:
                 raise FastGSError("it is a zip file, but none that PyTorch saved.")
@@ -109,7 +109,7 @@ class TorchFile:
         dtype = np.dtype(self.order + storage.code)
         return np.frombuffer(data, dtype, len(data) // dtype.itemsize)
 
-    def tensor(self, storage, offset, shape, stride) -> Tensor:
+    def tensor(self, storage: Any, offset: Any, shape: Any, stride: Any) -> Tensor:
         """A tensor, checked against its storage's true size."""
         dims = (shape, stride)
         _expect(isinstance(storage, _Storage) and all(isinstance(d, tuple) and len(d) <= 16 for d in dims) and len(shape) == len(stride))
@@ -124,7 +124,7 @@ class TorchFile:
         return Tensor(self, storage, offset if elements else 0, shape, stride)
 
 
-def content_or_none(head: bytes, path: Path):
+def content_or_none(head: bytes, path: Path) -> Any:
     """What PyTorch saved in a file; None for any other file and for a damaged one.  head: the file's first bytes."""
     if not head.startswith(b"PK\x03\x04"):
         return None
@@ -134,7 +134,7 @@ def content_or_none(head: bytes, path: Path):
         return None
 
 
-def of_pipeline(content, prefix: str) -> dict[str, Tensor]:
+def of_pipeline(content: object, prefix: str) -> dict[str, Tensor]:
     """The tensors of a nerfstudio checkpoint's pipeline whose names begin so, by the rest of their names."""
     pipeline = content.get("pipeline") if isinstance(content, dict) else None
     return {name.removeprefix(prefix): value for name, value in (pipeline.items() if isinstance(pipeline, dict) else ())
@@ -156,7 +156,7 @@ def _expect(good: bool) -> None:
         raise FastGSError(f"{REFUSED}.")
 
 
-def _check_size(value) -> None:
+def _check_size(value: object) -> None:
     """Raises FastGSError for tables that contain themselves, or one another so often that nobody could walk through them."""
     sizes: dict[int, int] = {}  # by id(): all tables live as long as `value`
     around: set[int] = set()
@@ -176,7 +176,7 @@ def _check_size(value) -> None:
             _expect(sizes[id(table)] <= MOST_VALUES)
 
 
-def _numpy(name: str, arguments: tuple):
+def _numpy(name: str, arguments: tuple) -> Any:
     """A type, the bytes of a number, or the number."""
     if name == "numpy.dtype":
         _expect(bool(arguments) and arguments[0] in ("f2", "f4", "f8", "i1", "i2", "i4", "i8", "u1", "b1"))
@@ -199,7 +199,7 @@ class _Machine:
     def __init__(self, file: TorchFile) -> None:
         self.file, self.stack, self.memo = file, list[Any](), dict[int, Any]()
 
-    def run(self, program: bytes):
+    def run(self, program: bytes) -> Any:
         """What the pickle describes; raises FastGSError for any other instruction.  Instructions are taken apart, never executed."""
         try:
             with warnings.catch_warnings():
@@ -212,7 +212,7 @@ class _Machine:
         except (ValueError, IndexError, KeyError, TypeError, OverflowError) as error:
             raise FastGSError("the pickle in it is damaged; copy the file again.") from error
 
-    def _step(self, name: str, argument) -> None:
+    def _step(self, name: str, argument: Any) -> None:
         stack, push = self.stack, self.stack.append
         if name in self.LITERALS:
             push(argument)
@@ -272,14 +272,14 @@ class _Machine:
         _expect(type(self.stack[-1]) is dict and len(items) % 2 == 0 and all(type(key) in (str, int) for key in items[::2]))
         self.stack[-1].update(zip(items[::2], items[1::2], strict=True))
 
-    def _storage(self, identity) -> _Storage:
+    def _storage(self, identity: Any) -> _Storage:
         _expect(type(identity) is tuple and len(identity) == 5 and identity[0] == "storage")
         _, kind, key, _, _ = identity
         name = kind.name.removeprefix("torch.") if isinstance(kind, _Global) else ""
         _expect(name in STORAGES and type(key) is str and f"{self.file.root}data/{key}" in self.file.sizes)
         return _Storage(key, STORAGES[name])
 
-    def _call(self, function, arguments):
+    def _call(self, function: Any, arguments: Any) -> Any:
         _expect(isinstance(function, _Global) and type(arguments) is tuple)
         if function.name == "collections.OrderedDict" and not arguments:
             return {}
@@ -308,11 +308,11 @@ def write(path: Path, tensors: Mapping[str, np.ndarray]) -> None:
 
 def _program(tensors: Mapping[str, np.ndarray]) -> bytes:
     """The pickle of OrderedDict(name=_rebuild_tensor_v2(storage, 0, shape, stride, False, OrderedDict()), ...)."""
-    def text(value):
+    def text(value: str) -> bytes:
         data = value.encode()
         return b"X" + struct.pack("<I", len(data)) + data
 
-    def numbers(values):
+    def numbers(values: Iterable[int]) -> bytes:
         return b"(" + b"".join(b"J" + struct.pack("<i", v) for v in values) + b"t"
 
     empty = b"ccollections\nOrderedDict\n)R"

@@ -6,10 +6,12 @@ deviation in normalised time, of 16 bits each (type 1), and then also a velocity
 exp(-((t - centre) / deviation)^2 / 2), t from 0 to 1.  Sound is ignored.
 """
 from dataclasses import replace
+from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from ..model.gaussians import Clip
+from ..model.gaussians import Clip, GaussianModel
 from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if
@@ -28,11 +30,11 @@ class Tsog(Format):
     name = "TSOG"
     reads = (".tsog",)
 
-    def sniff(self, head, path):
+    def sniff(self, head: bytes, path: Path) -> bool:
         meta = tables.meta_of(head, path)
         return meta.get("version") == VERSION and "means" in meta
 
-    def load(self, path):
+    def load(self, path: Path) -> GaussianModel:
         with tables.opened(path) as files:
             meta = files.meta()
             profile = meta.get("profile", {})
@@ -43,7 +45,7 @@ class Tsog(Format):
             return _timed(model, meta, files)
 
 
-def _timed(model, meta: dict, files):
+def _timed(model: GaussianModel, meta: dict, files: tables.Folder) -> GaussianModel:
     """The static model with the file's timeline."""
     temporal, timeline = meta.get("temporal") or {}, meta.get("timeline")
     if not isinstance(temporal, dict) or set(temporal) - {"means"}:
@@ -71,14 +73,14 @@ def _timed(model, meta: dict, files):
     return replace(model, **lives, clip=Clip(frames, frames / seconds if seconds else fps))
 
 
-def _velocity(temporal: dict, files, n: int) -> np.ndarray:
+def _velocity(temporal: dict, files: tables.Folder, n: int) -> np.ndarray:
     """Velocities [N, 3] per unit of normalised time."""
     part = tables.part(temporal, "means")
     count = len(part["files"])
     damaged_if(count not in (1, 2), "its velocities have neither 8 nor 16 bits")
     planes = [tables.pixels(files, name, n)[:, :3] for name in tables.names(temporal, "means", count)]
     share = planes[0] / 255 if count == 1 else (planes[0] + 256 * planes[1]) / 65535
-    rows = [part.get(key) for key in ("mins", "maxs")]
+    rows: list[Any] = [part.get(key) for key in ("mins", "maxs")]
     if not all(isinstance(row, list) and len(row) == 1 for row in rows):
         raise FastGSError("its velocities change in time, which is not supported; export it with a constant velocity.")
     low, high = (tables.numbers(row[0], 3) for row in rows)

@@ -2,6 +2,7 @@
 """Turning static Gaussians into a world with other axes: positions, rotations and spherical harmonics."""
 from dataclasses import replace
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
@@ -29,7 +30,8 @@ def turned(model: GaussianModel, turn: np.ndarray) -> GaussianModel:
     position = model.position * signs if signs is not None else model.position.astype(np.float64) @ turn.T
     place = np.eye(4)
     place[:3, :3] = turn
-    changed = {"position": position, "rotation": _turned_rotation(model.rotation, turn), "surroundings": model.surroundings.moved(place)}
+    changed: dict[str, Any] = {"position": position, "rotation": _turned_rotation(model.rotation, turn),
+                               "surroundings": model.surroundings.moved(place)}
     if isinstance(model.appearance, SH) and model.appearance.degree:
         count = (model.appearance.degree + 1) ** 2
         matrix = sh_turn(turn, model.appearance.degree)

@@ -11,8 +11,11 @@ file itself is opened: what it refers to in other files is left out.
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
@@ -62,7 +65,7 @@ class Usd(StaticFormat):
         if not at[-1] <= MOST_FRAMES:
             raise FastGSError("the times of its samples are next to equal; export them frame by frame.")
         clip = Clip(int(at[-1]) + 1, rate if 0 < rate < 1e6 else 24.0)
-        return within(path, clip, at, lambda i: _model(*_opened(path), float(times[i])))
+        return within(path, clip, at, lambda i: _model(*_opened(path), time=float(times[i])))
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         write_frames(targets[-1], self.extensions[0], [(None, model)])
@@ -125,7 +128,7 @@ def write_frames(path: Path, extension: str, frames: Iterable[tuple[float | None
         named.unlink(missing_ok=True)
 
 
-def _library():
+def _library() -> ModuleType:
     """Pixar's modules; raises FastGSError where they are not there."""
     try:
         import pxr
@@ -136,7 +139,7 @@ def _library():
     return pxr
 
 
-def _opened(path: Path) -> tuple:
+def _opened(path: Path) -> tuple[Any, list]:
     """The stage of a file alone, and its prims of Gaussians; raises FastGSError."""
     pxr = _library()
     try:
@@ -159,7 +162,7 @@ def _opened(path: Path) -> tuple:
     return stage, prims
 
 
-def _without_references(spec) -> None:
+def _without_references(spec: Any) -> None:
     """Take what leads to other files out of a prim, its variants and those below it."""
     spec.ClearReferenceList()
     spec.ClearPayloadList()
@@ -171,7 +174,7 @@ def _without_references(spec) -> None:
             _without_references(variant.primSpec)
 
 
-def _attribute(prim, name: str):
+def _attribute(prim: Any, name: str) -> Any:
     """The attribute of a name, or of its half precision."""
     for each in (name, name + "h"):
         found = prim.GetAttribute(each)
@@ -180,7 +183,7 @@ def _attribute(prim, name: str):
     return None
 
 
-def _value(attribute, when):
+def _value(attribute: Any, when: Any) -> Any:
     """The value of an attribute; raises FastGSError for the name of a file, which USD would look for, perhaps on another machine."""
     sdf = _library().Sdf
     for spec in attribute.GetPropertyStack(when):
@@ -191,14 +194,14 @@ def _value(attribute, when):
     return attribute.Get(when)
 
 
-def _times(prims) -> np.ndarray:
+def _times(prims: Iterable[Any]) -> np.ndarray:
     """All times at which an attribute of the Gaussians has a sample, increasing."""
     names = ("positions", "orientations", "scales", "opacities", COEFFICIENTS)
     found = {time for prim in prims for name in names if (a := _attribute(prim, name)) is not None for time in a.GetTimeSamples()}
     return np.array(sorted(time for time in found if abs(time) < 1e9))
 
 
-def _model(stage, prims, time: float | None) -> GaussianModel:
+def _model(stage: Any, prims: Iterable[Any], time: float | None) -> GaussianModel:
     """All Gaussians at a time."""
     pxr = _library()
     when = pxr.Usd.TimeCode.EarliestTime() if time is None else pxr.Usd.TimeCode(time)
@@ -211,14 +214,14 @@ def _model(stage, prims, time: float | None) -> GaussianModel:
     return replace(together(models), axes=axes)
 
 
-def _gaussians(prim, when) -> GaussianModel:
-    def read(name: str, width: int, default=None) -> np.ndarray:
+def _gaussians(prim: Any, when: Any) -> GaussianModel:
+    def read(name: str, width: int, default: ArrayLike | None = None) -> np.ndarray:
         attribute = _attribute(prim, name)
         value = None if attribute is None else _value(attribute, when)
         if value is None:
             if default is None:
                 raise FastGSError(f"its prim {prim.GetPath()} has no {name}; export it again.")
-            return np.broadcast_to(np.float32(default), (len(position), width))
+            return np.broadcast_to(np.asarray(default, np.float32), (len(position), width))
         array = np.array(value, np.float32)
         if array.size and (array.ndim != (2 if width > 1 else 1) or (width > 1 and array.shape[1] != width)):
             raise FastGSError(f"the {name} of its prim {prim.GetPath()} are of another type than they should be; export it again.")
@@ -231,7 +234,7 @@ def _gaussians(prim, when) -> GaussianModel:
     if not isinstance(degree, int) or not 0 <= degree <= 4:
         raise FastGSError(f"its degree of spherical harmonics cannot be {degree!r}; at most 4 are read.")
     opacity = read("opacities", 1, 1.0)[:, 0].astype(np.float64)
-    arrays = {"rotation": read("orientations", 4, (0, 0, 0, 1))[:, [3, 0, 1, 2]], "scale": read("scales", 3, (1, 1, 1))}
+    arrays: dict[str, Any] = {"rotation": read("orientations", 4, (0, 0, 0, 1))[:, [3, 0, 1, 2]], "scale": read("scales", 3, (1, 1, 1))}
     coefficients = read(COEFFICIENTS, 3)
     count = (degree + 1) ** 2
     if len(coefficients) != n * count or len(opacity) != n or any(len(array) != n for array in arrays.values()):
@@ -242,5 +245,5 @@ def _gaussians(prim, when) -> GaussianModel:
     return GaussianModel(position, **arrays, opacity=logit, features=coefficients.reshape(n, 3 * count), appearance=SH(degree))
 
 
-def _array(kind, values: np.ndarray):
+def _array(kind: Any, values: np.ndarray) -> Any:
     return kind.FromNumpy(np.ascontiguousarray(values, np.float32))

@@ -5,6 +5,7 @@ Images are premultiplied and in the space in which their model was trained and i
 after blending, on un-premultiplied colour.
 """
 import numpy as np
+from numpy.typing import ArrayLike
 
 SRGB_CUT, SRGB_LINEAR_CUT, SRGB_SLOPE, SRGB_OFFSET, SRGB_GAMMA = 0.04045, 0.0031308, 12.92, 0.055, 2.4
 """Of the sRGB curve: linear up to the cut (of sRGB, of linear values), a power beyond it.  Kernels and shaders take them from here."""
@@ -46,7 +47,7 @@ def lifted(rgb: np.ndarray, highlights: float) -> np.ndarray:
     return rgb * (1 + (highlights - 1) * s * s * (3 - 2 * s))
 
 
-def over(rgb: np.ndarray, alpha: np.ndarray, background: np.ndarray | None) -> np.ndarray:
+def over(rgb: np.ndarray, alpha: np.ndarray, background: ArrayLike | None) -> np.ndarray:
     """Premultiplied rgb over an opaque background [3] of the same colour space."""
     return rgb + (1 - alpha[..., None]) * np.asarray(background, rgb.dtype)
 

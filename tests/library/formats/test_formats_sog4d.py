@@ -243,6 +243,12 @@ def test_what_is_wrong_with_frames_has_a_name(tmp_path, rng, change, said):
         fg.open_source(tmp_path / "m.sog4d")
 
 
+def test_frames_whose_pictures_lie_beside_the_file_are_told_to_be_packed(tmp_path, rng):
+    (tmp_path / "m.sog4d").write_bytes(frames(rng)[0]["meta.json"])
+    with pytest.raises(fg.FastGSError, match=r"m\.sog4d.*zip"):
+        fg.open_source(tmp_path / "m.sog4d")
+
+
 def test_mutated_files(tmp_path, rng):
     parts, _ = moving(rng)
     multi = {"meta.json": b'{"type": "sog4d_multi", "dynamic": {}}', **{f"dynamic/{k}": v for k, v in parts.items()}}
