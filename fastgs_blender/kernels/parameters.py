@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from ..model.appearance import Features
 from ..model.gaussians import GaussianModel
 
 DECODER = ("w1", "w2")
@@ -14,6 +16,7 @@ DECODER = ("w1", "w2")
 
 def model_of(template: GaussianModel, parameters: dict[str, np.ndarray]) -> GaussianModel:
     """The template with the parameters instead of its own arrays: float32, not copied; what else `parameters` holds is ignored."""
-    fields = {name: parameters[name] for name in template.arrays}
-    decoder = {name: parameters[name] for name in DECODER if name in parameters}
-    return replace(template, appearance=replace(template.appearance, **decoder), **fields)
+    fields: dict[str, Any] = {name: parameters[name] for name in template.arrays}
+    decoder: dict[str, Any] = {name: parameters[name] for name in DECODER if name in parameters}
+    look = template.appearance
+    return replace(template, appearance=replace(look, **decoder) if isinstance(look, Features) else look, **fields)

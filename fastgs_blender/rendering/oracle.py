@@ -4,8 +4,10 @@
 Together with slicing.py (motion, temporal opacity, rotation) and appearance.py (spherical harmonics, decoder) it says what
 a picture of a model is.  The kernels are tested against it.
 """
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
-from functools import reduce
+from functools import partial, reduce
+from typing import Any
 
 import numpy as np
 
@@ -18,8 +20,8 @@ from .culling import order_in_numpy
 from .distance import share
 from .exposure import Exposure, Film
 from .holdout import sample_depths
-from .instances import LIMIT, ViewedInstance
-from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, Exposed, Layout
+from .instances import LIMIT, Instance, ViewedInstance
+from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, ChannelGroup, Exposed, Layout
 from .looks import Look, graded, size_factor
 from .normals import thinnest
 from .passing import past_splats, past_triangles
@@ -137,8 +139,8 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
         channels[:, layout.depth] = z
     if layout.plane is not None:
         box = np.sqrt(2 * np.log(opacity / raster.alpha_cut)[:, None] * np.diagonal(covariance, axis1=1, axis2=2))
-        blurred = (blur, determinant) if layout.by_pixel else (0.0, sharp)
-        channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, *blurred, box, mean, z, camera)
+        added, area = (blur, determinant) if layout.by_pixel else (np.zeros(len(z)), sharp)
+        channels[:, layout.places["plane"]] = plane(turned[:, 2], factor, added, area, box, mean, z, camera)
     shown = Shown(instance, s.index)
     for name, quantity in layout.quantities.items():
         channels[:, layout.places[name]] = quantity.of(shown)
@@ -151,10 +153,12 @@ def project(instance: ViewedInstance, camera: Camera, layout: Layout) -> Splats:
 
 def _nothing(layout: Layout) -> Splats:
     """The splats of no instance."""
-    return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), *np.zeros((3, 0)), np.zeros((0, layout.channels)), *np.zeros((2, 0)))
+    none = np.zeros(0)
+    return Splats(np.zeros((0, 2)), np.zeros((0, 2, 2)), none, none, none, np.zeros((0, layout.channels)), none, none)
 
 
-def plane(deep, flat, blur, determinant, box, mean, z, camera: Camera) -> np.ndarray:
+def plane(deep: np.ndarray, flat: np.ndarray, blur: np.ndarray, determinant: np.ndarray, box: np.ndarray, mean: np.ndarray, z: np.ndarray,
+          camera: Camera) -> np.ndarray:
     """Depth of each splat at the pixels it covers, a + b x + c y with x and y from the image's middle: [M, 3].
 
     It is the depth of the greatest density on a pixel's ray, for a flat Gaussian that of its plane (RaDe-GS, section 4): its slope is
@@ -220,7 +224,7 @@ def rasterise(splats: Splats, camera: Camera, band: float = 0.0, holdout: np.nda
     return out, (1 - transmittance).mean(-1), probes, held
 
 
-def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
+def _by_centre(splats: Splats, camera: Camera, px: np.ndarray, py: np.ndarray, planes: slice) -> Iterator[tuple[Any, ...]]:
     """Yields the splats front to back: of each the box of pixels that it touches, its alpha [h, w] there and the cut, its depth, the
     depths of its plane (or its own), and its channels [C]."""
     order = np.argsort(splats.depth.astype(np.float32), kind="stable")
@@ -245,7 +249,7 @@ def _by_centre(splats: Splats, camera: Camera, px, py, planes: slice):
         yield np.s_[top:bottom, left:right], alpha, splats.alpha_cut[i], splats.depth[i], surface, splats.channels[i]
 
 
-def _by_pixel(splats: Splats, camera: Camera, px, py, planes: slice):
+def _by_pixel(splats: Splats, camera: Camera, px: np.ndarray, py: np.ndarray, planes: slice) -> Iterator[tuple[Any, ...]]:
     """Yields layers of the whole window front to back, as _by_centre() does: of each pixel the nearest splat, then the next.  Depths are
     those of the planes."""
     layers = list(_by_centre(splats, camera, px, py, planes))
@@ -267,7 +271,8 @@ def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedIn
          "lifted": as before, without what it shows behind the splats
     Colours beyond LIMIT are 0.
     """
-    appearance: Features = instance.model.appearance
+    appearance = instance.model.appearance
+    assert isinstance(appearance, Features)
     centre, rays = camera.rays(instance.model_to_camera)
     share = weight[..., None]
     with np.errstate(over="ignore", invalid="ignore"):
@@ -287,21 +292,21 @@ def decode_features(features: np.ndarray, weight: np.ndarray, instance: ViewedIn
 class Oracle:
     """The backend "reference": protocol.PictureBackend in float64; its arrays are NumPy's."""
 
-    def array(self, values):
+    def array(self, values: np.ndarray) -> np.ndarray:
         return np.asarray(values)
 
-    def numpy(self, array):
+    def numpy(self, array: np.ndarray) -> np.ndarray:
         return array
 
-    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes, progress,
-             holdout: np.ndarray | None = None, band: float = 0.0) -> Buffers:
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
+             progress: Callable[[float], None], holdout: np.ndarray | None = None, band: float = 0.0) -> Buffers:
         """All instances together, composited into the layout's channels; band: see rasterise()."""
         with np.errstate(all="ignore"):  # what overflows is not drawn
-            found = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
+            drawn = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)
-        splats = Splats(**{name: np.concatenate([vars(s)[name] for s in found]) for name in vars(found[0])})
+        splats = Splats(**{name: np.concatenate([vars(s)[name] for s in drawn]) for name in vars(drawn[0])})
         channels, alpha, found, held = rasterise(splats, camera, band, holdout, layout.places.get("plane", slice(0)), layout.by_pixel,
-                                                    layout.core)
+                                                 layout.core)
         sums = {name: channels[..., where] for name, where in layout.places.items()}
         return Buffers(channels, alpha, sums, {name: found[name] for name in probes}, *held)
 
@@ -309,13 +314,15 @@ class Oracle:
         """Premultiplied colour [h, w, 3]: the sum over the layout's groups."""
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))
 
-    def _group_colour(self, buffers, group, camera):
+    def _group_colour(self, buffers: Buffers, group: ChannelGroup, camera: Camera) -> np.ndarray:
         if group.instance is None:
             return buffers.channels[..., group.offset:group.offset + 3]
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera, group.decode)
 
-    def expose(self, exposure: Exposure, instances, camera: Camera, colours: bool, progress, holdout=None, objects=(), by_pixel=False):
+    def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
+               progress: Callable[[float], None], holdout: np.ndarray | None = None, objects: Sequence[tuple[str, int]] = (),
+               by_pixel: bool = False) -> Exposed:
         """The average of as many samples as the exposure allows."""
         _, _, width, height = camera.window
         film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
@@ -323,26 +330,26 @@ class Oracle:
         for i, sample in enumerate(samples):
             moved, eye = exposure.scene(instances, camera, sample.time, sample.point)
             layout = Layout(moved, False, {"shares": shares(moved, objects)} if objects else None, holdout is not None, by_pixel)
-            buffers = self.draw(moved, eye, layout, (), lambda fraction, i=i: progress((i + fraction) / len(samples)),
+            buffers = self.draw(moved, eye, layout, (), partial(lambda i, fraction: progress((i + fraction) / len(samples)), i),
                                 holdout=exposure.holdout(holdout, sample.time))
             film.add(self.colour(buffers, layout, eye) if colours else None, buffers.alpha, sample.weights[-1], buffers.held,
                      buffers.sums.get("shares"))
         rgb, alpha = film.picture()
         return Exposed(rgb if colours else None, alpha, None if holdout is None else film.held, film.shares if objects else None)
 
-    def surface(self, triangles, camera):
+    def surface(self, triangles: np.ndarray, camera: Camera) -> np.ndarray:
         return sample_depths(triangles, camera).min(-1)
 
-    def past_splats(self, instances, camera, points, over):
+    def past_splats(self, instances: list[ViewedInstance], camera: Camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
         layout = Layout(instances, False, plane=True)
         with np.errstate(all="ignore"):
             return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
 
-    def posed(self, instance, index):
+    def posed(self, instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         model, t = instance.model, instance.t
         return positions_at(model, t, index), rotations.unit(quaternions_at(model, t, index))
 
-    def contributing(self, instances, camera, least):
+    def contributing(self, instances: list[ViewedInstance], camera: Camera, least: float) -> list[np.ndarray]:
         return [np.ones(len(each.model), bool) for each in instances]
 
     past_triangles = staticmethod(past_triangles)

@@ -4,7 +4,9 @@
 A splat that reaches over an edge is projected, and sorted, a little differently on either side.  Therefore faces overlap by
 twice panorama.MARGIN, and what both see is mixed by how far it lies within each.
 """
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -14,7 +16,8 @@ from .lookup import between_pixels
 from .passes import PASSES, PassSettings
 
 
-def render_panorama(render, camera: Panorama, passes, settings: PassSettings, exposure: Exposure | None, progress) -> dict[str, np.ndarray]:
+def render_panorama(render: Callable[..., dict[str, np.ndarray]], camera: Panorama, passes: Sequence[str], settings: PassSettings,
+                    exposure: Exposure | None, progress: Callable[[float], None]) -> dict[str, np.ndarray]:
     """The passes, as render() returns them.
 
     render  render() of a pinhole camera, but for its model and what else these passes do not change
@@ -57,7 +60,7 @@ def render_panorama(render, camera: Panorama, passes, settings: PassSettings, ex
     return {name: np.ascontiguousarray(image, np.float32) for name, image in out.items()}
 
 
-def _seen_by(seen, face) -> tuple[np.ndarray, np.ndarray]:
+def _seen_by(seen: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """How much a face counts in each pixel [h, w], and where the pixel lies in its plane [h, w, 2]."""
     with np.errstate(all="ignore"):
         turned = seen @ face.T
@@ -74,5 +77,6 @@ def _without_neighbours(settings: PassSettings) -> PassSettings:
 
 def _of_face(exposure: Exposure, index: int) -> Exposure | None:
     """The exposure with the camera of one face instead of the panorama."""
-    moments = tuple(replace(moment, camera=moment.camera.face(index)) for moment in exposure.moments)
+    panoramas: list[Any] = [moment.camera for moment in exposure.moments]
+    moments = tuple(replace(moment, camera=panorama.face(index)) for moment, panorama in zip(exposure.moments, panoramas))
     return replace(exposure, moments=moments, aperture=None) if exposure.moves else None

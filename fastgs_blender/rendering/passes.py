@@ -101,12 +101,12 @@ class Blended:
     """
 
     camera: Camera
-    rgb: np.ndarray | None
+    rgb: Any
     alpha: np.ndarray
     sums: dict[str, np.ndarray]
     probes: dict[str, np.ndarray]
     objects: list[tuple[str, int]]
-    shares: np.ndarray | None
+    shares: Any
     held: np.ndarray | None = None
     shadows: dict[str, np.ndarray] = field(default_factory=dict)
 

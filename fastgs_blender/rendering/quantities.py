@@ -5,7 +5,7 @@ They are computed here, in float64 array code, for every backend: only for the s
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -185,7 +185,7 @@ def _moved(instance: ViewedInstance, moment: Moment | None, frames: int) -> View
     return Instance(there.model, there.placement, there.t).viewed(moment.camera)
 
 
-def shares(instances: list[ViewedInstance], names: list) -> Quantity:
+def shares(instances: list[ViewedInstance], names: Sequence) -> Quantity:
     """1 in the column of each Gaussian's object, among names (Instance.identity): what part of a pixel each object covers."""
     column = {instance: names.index(instance.identity) for instance in instances if instance.identity in names}
 

@@ -39,7 +39,7 @@ def shading_of(arriving: np.ndarray, contact: np.ndarray) -> Shading:
     arriving  [L, 4, 3, N] the irradiance of each lamp, by channel: with nothing in the way, with meshes, with both, with splats
     """
     lights = (arriving[:, 0] / np.pi).transpose(0, 2, 1)
-    return Shading(lights, *(shares_of(arriving[:, 0], arriving[:, stage]) for stage in (1, 2)), contact)
+    return Shading(lights, shares_of(arriving[:, 0], arriving[:, 1]), shares_of(arriving[:, 0], arriving[:, 2]), contact)
 
 
 def shares_of(bare: np.ndarray, left: np.ndarray) -> np.ndarray:

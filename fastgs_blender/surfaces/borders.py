@@ -81,7 +81,8 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, s
     seam = None if seam is None else seam[solid]
     edges = mesh_edges(points, triangles)
     if not len(edges.side):
-        return Borders(*(np.zeros((0, 3)) for _ in range(4)), np.zeros(0, bool))
+        none = np.zeros((0, 3))
+        return Borders(none, none, none, none, np.zeros(0, bool))
     one, other = edges.side[edges.first], edges.side[np.minimum(edges.first + 1, len(edges.side) - 1)]
     flat = (edges.count == 2) & (np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]) >= SHARP)
     smooth = flat & (patch[one // 3] == patch[other // 3])

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -148,7 +149,8 @@ def _seams(colours: Colours, corners: np.ndarray, edges: Edges, spacing: float) 
         return seam.reshape(-1, 3)
     area = lengths(triangle_normals(corners))
     places, triangles = [], []
-    for sides, shares in ((one, ALONG), (other, edges.mirrored(one, other, ALONG))):
+    both: tuple[tuple[np.ndarray, Any], ...] = (one, ALONG), (other, edges.mirrored(one, other, ALONG))
+    for sides, shares in both:
         t, k = np.divmod(sides, 3)
         height = area[t] / np.maximum(lengths(corners[t, (k + 1) % 3] - corners[t, k]), 1e-30)
         inwards = np.minimum(ASIDE, ASIDE * spacing / np.maximum(height, 1e-30))

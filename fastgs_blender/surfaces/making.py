@@ -2,6 +2,7 @@
 """make_mesh(): the surface of a model as a mesh whose vertices move as the model's Gaussians do."""
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -95,13 +96,13 @@ def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed
     t, detail, smoothing = real(t, "the time of a model"), whole(detail, "the detail", 8, 1024), whole(smoothing, "the smoothing", 0, 1000)
     progress = progress or (lambda share: None)
     times = np.union1d(times_of(model), np.clip(t, 0, (model.clip.frame_count - 1) / model.clip.frame_count))
-    waiting, found = [(0, len(times), int(np.abs(times - t).argmin()))], []
+    waiting, found = [(0, len(times), int(np.abs(times - t).argmin()))], list[MovingMesh]()
     while waiting:
         begin, end, at = waiting.pop()
         done = begin / len(times) if found else 0.0
         limit = TEARS if len(found) + 1 < MOST_MESHES else np.inf
         mesh = _made(model, times[at], times[begin:end], detail, closed, smoothing, limit,
-                     lambda share, done=done: progress(done + (1 - done) * share))
+                     partial(lambda done, share: progress(done + (1 - done) * share), done))
         found.append(mesh)
         first, last = np.searchsorted(times, mesh.times[[0, -1]])
         if last + 1 < end:  # the next one is made where it probably holds back to here
@@ -156,7 +157,7 @@ def _shapes(paths: np.ndarray, rest: np.ndarray, precise: float) -> tuple[np.nda
 
     They are principal components.  Whatever moves the Gaussians, limbs that swing and cloth that waves need ten or twenty.
     """
-    off = (paths - rest.astype(np.float32)).reshape(len(paths), -1)
+    off: np.ndarray = (paths - rest.astype(np.float32)).reshape(len(paths), -1)
     values, vectors = np.linalg.eigh((off @ off.T).astype(np.float64))
     values, vectors = np.maximum(values[::-1], 0), vectors[:, ::-1]
     missed = np.append(values[::-1].cumsum()[::-1], 0) / (len(paths) * len(rest))

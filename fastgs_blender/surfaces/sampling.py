@@ -129,7 +129,7 @@ def neighbours(position, normal, stretch, radius):
 def near_pairs(a: np.ndarray, b: np.ndarray | None, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """All i, j for which a[i] and b[j] ([M, 3], [L, 3]) are nearer than radius; without b, those of a with i < j."""
     alone = b is None
-    b = a if alone else b
+    b = a if b is None else b
     low = np.minimum(a.min(0), b.min(0))
     cell_a, cell_b = (np.floor((x - low) / radius).astype(np.int64) + 1 for x in (a, b))
     size = np.maximum(cell_a.max(0), cell_b.max(0)) + 2

@@ -110,7 +110,8 @@ class CPU:
 def timed(repeat: int, wait, project, sort, blend):
     """TrainingBackend.measure_stages() of a backend's three stages, project(), sort(splats) and blend(splats, order), and the splats;
     wait() waits for its device."""
-    times, splats = {"slice and project": [], "sort": [], "tiles and rasterise": []}, None
+    times: dict[str, list[float]] = {"slice and project": [], "sort": [], "tiles and rasterise": []}
+    splats = None
     for _ in range(repeat):
         clock = [time.perf_counter()]
 

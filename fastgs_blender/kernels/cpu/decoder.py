@@ -22,10 +22,11 @@ def decode_features(features, weight, instance: ViewedInstance, camera: Camera, 
     if way == "normalised":
         return graded_picture(_decoded(features, weight, instance, camera), weight, instance.look)
     full = np.ones(weight.shape, np.float32)
-    colour = _decoded(features, full, instance, camera)
+    colour, appearance = _decoded(features, full, instance, camera), instance.model.appearance
     if way == "premultiplied":
         return graded_picture(colour, full, instance.look)
-    colour = lifted(colour, _decoded(np.zeros(features.shape, np.float32), full, instance, camera), weight, instance.model.appearance)
+    assert isinstance(appearance, Features)
+    colour = lifted(colour, _decoded(np.zeros(features.shape, np.float32), full, instance, camera), weight, appearance)
     return graded_picture(np.where(np.abs(colour) <= LIMIT, colour, 0), weight, instance.look)
 
 

@@ -67,7 +67,8 @@ class Snapshot:
     @classmethod
     def nothing(cls, total: int) -> Snapshot:
         """One in which nothing is seen yet."""
-        return cls(np.zeros(total, bool), *(np.zeros((total, width), np.float32) for width in (2, 2, 3)), np.zeros(total, np.float32))
+        mean, size, root = (np.zeros((total, width), np.float32) for width in (2, 2, 3))
+        return cls(np.zeros(total, bool), mean, size, root, np.zeros(total, np.float32))
 
     def way_to(self, other: Snapshot, shift) -> np.ndarray:
         """How far [G] it is from this look to another, in standard deviations: movement, change of size, and of opacity."""

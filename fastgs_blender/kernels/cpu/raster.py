@@ -7,6 +7,7 @@ A pixel that is finished keeps its transmittance with the sign turned.
 from __future__ import annotations
 
 from functools import cache
+from typing import Any
 
 import numpy as np
 from numba import float32
@@ -183,8 +184,8 @@ def deliver(state, stopped, left_over, hides, left, top, x0, y0, right, bottom, 
 
 
 @cache
-def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: bool = False, band: float = 0.0, plane: int | None = None,
-               core: tuple[int, int] = (0, 0)):
+def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: int = 0, band: float = 0.0, plane: int | None = None,
+               core: Any = (0, 0)):
     """The kernel for a number of channels, and the probes (layout.PROBES, in their order).
 
     core: from which to which channel they are summed over the core of each pixel.

@@ -57,16 +57,16 @@ def compare(picture: ForwardPass, target: np.ndarray, weight: np.ndarray | None,
             opaque_weight: float, share: float, least: np.ndarray | None = None) -> Comparison:
     """TrainingBackend.compare()."""
     asserts.compare(picture, target, weight, background, least)
-    rgb, alpha, share = _over(picture, background), picture.alpha, np.float32(share)
+    rgb, alpha, factor = _over(picture, background), picture.alpha, np.float32(share)
     if least is not None:
         target = np.where(least, np.maximum(target, rgb), target)
     loss, grad_rgb, l1, ssim = photometric(rgb, target, weight, float(dssim))
-    if share != 1:
-        grad_rgb = grad_rgb * share
+    if factor != 1:
+        grad_rgb = grad_rgb * factor
     grad_alpha = None
     if opaque_weight:
         loss += opaque_weight * float((1 - alpha).mean(dtype=np.float64))
-        grad_alpha = np.full(alpha.shape, -(share * np.float32(opaque_weight) / np.float32(alpha.size)), np.float32)
+        grad_alpha = np.full(alpha.shape, -(factor * np.float32(opaque_weight) / np.float32(alpha.size)), np.float32)
     if background is not None:
         through = grad_rgb[..., 0] * background[0] + grad_rgb[..., 1] * background[1] + grad_rgb[..., 2] * background[2]
         grad_alpha = -through if grad_alpha is None else grad_alpha - through

@@ -2,6 +2,9 @@
 """Compiles the kernels that pictures usually need, before the first picture: python -m fastgs_blender.kernels.cpu.warm."""
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 
 from ...cameras.camera import Camera
@@ -21,7 +24,7 @@ from .light import light
 PASSES = (("rgb", "alpha"), ("rgb", "alpha", "depth"), ("rgb", "alpha", "median_depth"))
 
 
-def compile_all(progress=lambda fraction: None) -> None:
+def compile_all(progress: Callable[[float], None] = lambda fraction: None) -> None:
     """Render a few specks with every kind of colour and every common set of passes; at the end the cache counts as filled.
 
     What a first picture needs comes first, so that nobody waits for the rest.
@@ -29,7 +32,7 @@ def compile_all(progress=lambda fraction: None) -> None:
     camera = Camera(16, 16, 16, 16, 8, 8, np.eye(4))
     models = [GaussianModel(position=np.diag([0.1, 0.2, 2.0]) + [0, 0, 1], rotation=np.eye(4)[:3], scale=np.full((3, 3), -2),
                             opacity=np.ones(3), features=np.ones((3, look.width)), appearance=look) for look in (RGB(), Features())]
-    jobs = [{"model": model, "passes": passes} for passes in PASSES for model in models]
+    jobs: list[dict[str, Any]] = [{"model": model, "passes": passes} for passes in PASSES for model in models]
     jobs.append({"model": models[0], "settings": PassSettings(sorting="pixel")})
     instance = Instance(models[0], np.eye(4), 0.0).viewed(camera)
     for i, job in enumerate(jobs):
@@ -40,7 +43,7 @@ def compile_all(progress=lambda fraction: None) -> None:
         progress((i + 1) / len(jobs))
     render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
     above = np.array([[[0.1, -9, 0.5], [0.1, 9, 0.5], [9, 0, 0.5]]], np.float32)
-    sun = SceneLight(((Lamp(Light.sun((0, 0, -1)), (1, 1, 1)), None),), above)
+    sun = SceneLight(((Lamp(Light.sun((0, 0, -1)), np.ones(3)), None),), above)
     look = ObjectSettings(lamp_light=1.0, shadows=1.0)
     for model in models:
         render([Instance(model, np.eye(4), 0.0, look)], camera, backend="cpu", settings=PassSettings(light=sun))

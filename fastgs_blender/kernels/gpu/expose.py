@@ -9,6 +9,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -44,7 +45,7 @@ def expose(device: Device, models: Models, exposure: Exposure, instances: list[V
         first, last = max(y0, (top + row) * TILE), min(y0 + height, (top + row + at_once) * TILE)
         strip = x0, first, width, last - first
         levels = taken.levels[row * columns:(row + at_once) * columns]
-        strips.append(taken.picture(strip, levels, colours, lambda f, row=row: progress(min((row + f * at_once) / rows, 1.0))))
+        strips.append(taken.picture(strip, levels, colours, partial(lambda row, f: progress(min((row + f * at_once) / rows, 1.0)), row)))
     rgb, alpha, held, covered = (np.concatenate(parts) for parts in zip(*strips, strict=True))
     return Exposed(rgb if colours else None, alpha, None if holdout is None else held, covered if objects else None)
 

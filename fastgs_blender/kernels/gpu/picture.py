@@ -6,7 +6,7 @@ A picture that does not fit into the GPU's memory is drawn in bands of rows of t
 from __future__ import annotations
 
 from collections.abc import Callable, Collection
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -87,7 +87,7 @@ def draw(device: Device, models: Models, instances: list[ViewedInstance], camera
 class DeviceBuffers(Buffers):
     """The Buffers of a picture on a device; again: gives those that the CPU draws."""
 
-    again: Callable[[], Buffers] = Buffers  # always given
+    again: Callable[[], Buffers] = field(kw_only=True)
 
     @classmethod
     def of(cls, bands: list[Band], layout: Layout, how: How, again: Callable[[], Buffers]) -> DeviceBuffers:
@@ -126,12 +126,13 @@ def colour(device: Device, buffers: DeviceBuffers, layout: Layout, camera: Camer
 
 def decoder(group: ChannelGroup, channels: Array, alpha: Array, camera: Camera, top: int) -> list:
     """The numbers of wgsl/decoder.wgsl for a group of channels in a band whose first row is `top` of the image."""
+    assert channels.columns is not None and alpha.columns is not None
     (height, width), numbers = channels.shape[:2], channels.columns[2]
     weight = [0, alpha.columns[2]] if group.weight is None else [group.weight, numbers]
     to_model, look, activation, way = np.zeros((3, 4)), np.zeros(20), PLAIN, 0
     if group.instance is not None:
         to_model, look = group.instance.camera_to_model[:3], group.instance.look
-        activation, way = ACTIVATIONS.index(group.instance.model.appearance.activation), WAYS.index(group.decode)
+        activation, way = ACTIVATIONS.index(_decoder_of(group.instance).activation), WAYS.index(group.decode)
     lens = [float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy)]
     return [*to_model, lens, [float(camera.window[0]), float(top), float(camera.orthographic), float(way)],
             look, [height * width, width, numbers, (top - camera.window[1]) * width], [group.offset, *weight, activation]]
@@ -141,5 +142,11 @@ def matrices_of(device: Device, group: ChannelGroup) -> Array:
     """The matrices of a group's decoder, w1 and then w2; zeros where it has none."""
     if group.instance is None:
         return device.zeros((90,))
-    look: Features = group.instance.model.appearance
+    look = _decoder_of(group.instance)
     return device.array(np.concatenate([look.w1.ravel(), look.w2.ravel()]))
+
+
+def _decoder_of(instance: ViewedInstance) -> Features:
+    look = instance.model.appearance
+    assert isinstance(look, Features)
+    return look

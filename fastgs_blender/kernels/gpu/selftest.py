@@ -106,7 +106,8 @@ def _model(look, n: int = N, small: float = 0.0) -> GaussianModel:
 
 def _decoded() -> Features:
     """An appearance with a random decoder."""
-    return Features(*(np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6))))
+    w1, w2 = (np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6)))
+    return Features(w1, w2)
 
 
 def _camera(width: int, height: int) -> Camera:

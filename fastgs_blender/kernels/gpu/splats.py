@@ -48,7 +48,8 @@ class Piece:
     @classmethod
     def empty(cls, device: Device, first: int, rows: int, quads: int) -> Piece:
         """Rows that are not initialised; raises TooLarge."""
-        return cls(*(device.buffer(numbers * rows) for numbers in (4, 4, 4 * quads, 1)), first, rows, quads)
+        a, b, channels, depths = (device.buffer(numbers * rows) for numbers in (4, 4, 4 * quads, 1))
+        return cls(a, b, channels, depths, first, rows, quads)
 
     @property
     def arrays(self) -> tuple[tuple[Buffer, int], ...]:
@@ -119,7 +120,7 @@ def _fill(device: Device, splats: Piece, parts: list[tuple[View, Pack]], layout:
     done = 0
     for view, pack in parts:
         for name, quantity in layout.quantities.items():
-            if name not in own:
+            if quantity.same is not None and name not in own:
                 values = np.zeros(FILLED, np.float32)
                 values[:quantity.width] = quantity.same(view.instance)
                 job = [[pack.count, done, 4 * splats.quads, layout.places[name].start], [quantity.width, 0, 0, 0], values]

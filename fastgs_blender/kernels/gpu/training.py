@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -78,7 +79,7 @@ def forward(device: Device, parameters: dict[str, Array], template: GaussianMode
         features = _bands([_columns(band.channels, 0, 9) for band in bands])
     else:
         matrices, rgb, features = None, _bands([_columns(band.channels, 0, 3) for band in bands]), None
-    deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if depth else None
+    deep = _bands([_columns(band.channels, layout.depth) for band in bands]) if layout.depth is not None else None
     shapes = {name: array.shape for name, array in parameters.items() if name in (*ORDER, *DECODER)}
     seen = Seen(instance, camera, layout, found, matrices, splats, bands, how.smooth, shapes)
     return ForwardPass(rgb, alpha, deep, seen, features)
@@ -280,7 +281,7 @@ def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:
 
 def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
     """Compute the gradients of the parameters from those of the splats; they are added to `into`, if given."""
-    out = {name: empty_rows(device, view.shapes[name]) for name in ORDER} if into is None else into
+    out: dict[str, Any] = {name: empty_rows(device, view.shapes[name]) for name in ORDER} if into is None else into
     project_view = View(device, view.instance, view.camera, view.layout)
     project_view.flags |= DETACHED * detach_time
     bring = copy_in if into is None else add_in
@@ -293,10 +294,10 @@ def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[st
         for name in ORDER:
             bring(device, gradient, at, out[name], pack.first, pack.count)
             at += pack.count * math.prod(view.shapes[name][1:])
-    for name, gradient in found.items():
+    for name, slope in found.items():
         if into is None:
-            out[name] = gradient
+            out[name] = slope
         else:
-            count = math.prod(gradient.shape)
-            device.run("add", count, [[count, 0, 0, 0]], gradient, out[name])
+            count = math.prod(slope.shape)
+            device.run("add", count, [[count, 0, 0, 0]], slope, out[name])
     return out
