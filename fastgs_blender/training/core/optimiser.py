@@ -2,7 +2,9 @@
 """The optimiser: the trained arrays with Adam's moments, and the changes of rows that density control makes."""
 from __future__ import annotations
 
+from collections.abc import Iterator
 from contextlib import contextmanager
+from typing import Any
 
 import numpy as np
 
@@ -18,7 +20,8 @@ class Rows:
     arrays, means, squares  [N, ...] float32    counts [N] int32    moved [N] int64    steps  taken so far
     """
 
-    def __init__(self, arrays, means, squares, counts, moved, steps: int):
+    def __init__(self, arrays: dict[str, np.ndarray], means: dict[str, np.ndarray], squares: dict[str, np.ndarray],
+                 counts: dict[str, np.ndarray], moved: np.ndarray, steps: int) -> None:
         self.arrays, self.means, self.squares, self.counts = arrays, means, squares, counts
         self.moved, self.steps = moved, steps
 
@@ -59,13 +62,18 @@ class Optimiser:
     steps    taken so far
     """
 
-    def __init__(self, arrays: dict[str, np.ndarray], betas: tuple[float, float] = (0.9, 0.999), backend=None):
+    arrays: dict[str, Any]
+    means: dict[str, Any]
+    squares: dict[str, Any]
+    counts: dict[str, Any]
+
+    def __init__(self, arrays: dict[str, np.ndarray], betas: tuple[float, float] = (0.9, 0.999), backend: Any = None) -> None:
         self.backend = backend or load_backend("cpu")
         self.betas, self.steps = betas, 0
         arrays = {name: np.ascontiguousarray(array, np.float32) for name, array in arrays.items()}
-        zeros = [{name: np.zeros_like(array) for name, array in arrays.items()} for _ in range(2)]
+        means, squares = ({name: np.zeros_like(array) for name, array in arrays.items()} for _ in range(2))
         counts = {name: np.zeros(len(array), np.int32) for name, array in arrays.items()}
-        rows = Rows(arrays, *zeros, counts, None, 0)
+        rows = Rows(arrays, means, squares, counts, np.zeros(0, np.int64), 0)
         rows.moved = np.zeros(len(rows), np.int64)
         self._hand_over(rows)
 
@@ -80,18 +88,18 @@ class Optimiser:
         self._sizes = {name: array.size for name, array in rows.arrays.items()}
 
     @contextmanager
-    def on_host(self):
+    def on_host(self) -> Iterator[Rows]:
         """Gives the optimiser's Rows to change; at the end they are the backend's again."""
-        rows = Rows(*({name: self.backend.numpy(array) for name, array in getattr(self, part).items()} for part in PARTS.values()),
-                    self.backend.numpy(self.moved), self.steps)
+        parts = {part: {name: self.backend.numpy(array) for name, array in getattr(self, part).items()} for part in PARTS.values()}
+        rows = Rows(**parts, moved=self.backend.numpy(self.moved), steps=self.steps)
         yield rows
         self._hand_over(rows)
 
-    def steps_since_update(self, rows):
+    def steps_since_update(self, rows: Any) -> Any:
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
-    def step(self, gradients: dict, rows, rates: dict) -> None:
+    def step(self, gradients: dict, rows: Any, rates: dict) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates.
 
         gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
@@ -108,11 +116,12 @@ class Optimiser:
         return {**state, "moved": self.backend.numpy(self.moved), "steps": np.array([self.steps]), "betas": np.array(self.betas)}
 
     @classmethod
-    def restored(cls, state: dict[str, np.ndarray], backend=None) -> Optimiser:
+    def restored(cls, state: dict[str, np.ndarray], backend: Any = None) -> Optimiser:
         """The optimiser that state() describes."""
         names = [key.removeprefix("value.") for key in state if key.startswith("value.")]
-        optimiser = cls({name: state[f"value.{name}"] for name in names}, tuple(float(b) for b in state["betas"]), backend)
-        parts = ({name: np.array(state[f"{kind}.{name}"]) for name in names} for kind in PARTS)
+        first, second = (float(b) for b in state["betas"])
+        optimiser = cls({name: state[f"value.{name}"] for name in names}, (first, second), backend)
+        parts = {part: {name: np.array(state[f"{kind}.{name}"]) for name in names} for kind, part in PARTS.items()}
         optimiser.steps = int(state["steps"][0])
-        optimiser._hand_over(Rows(*parts, np.array(state["moved"]), optimiser.steps))
+        optimiser._hand_over(Rows(**parts, moved=np.array(state["moved"]), steps=optimiser.steps))
         return optimiser

@@ -6,6 +6,7 @@ All processes hold the same Gaussians and take the same steps, each with its sha
 """
 import json
 import os
+from collections.abc import Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -24,7 +25,7 @@ class Processes:
         """Begin a step; returns how many further steps may begin before its end is asked for."""
         return backend.begin_step()
 
-    def share(self, items: list) -> list:
+    def share(self, items: Sequence) -> Sequence:
         """This process' items of a list, of which all have equally many."""
         size = len(items) // self.count
         return items[self.rank * size:(self.rank + 1) * size]

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Iterable
-from dataclasses import MISSING, asdict, dataclass, field, fields, replace
+from dataclasses import MISSING, Field, asdict, dataclass, field, fields, replace
 from typing import Any
 
 from ...model.appearance import DECODES
@@ -173,12 +173,12 @@ class Settings:
         return {name: list(value) if isinstance(value, tuple) else value for name, value in asdict(self).items()}
 
 
-def settings(preset: str = "standard", **options) -> Settings:
+def settings(preset: str = "standard", **options: Any) -> Settings:
     """The settings of a preset with some options replaced; raises FastGSError for unknown ones."""
     return from_dict({**PRESETS[one_of(preset, "the preset", PRESETS)], "preset": preset, **options})
 
 
-def from_dict(values: dict) -> Settings:
+def from_dict(values: Any) -> Settings:
     """The inverse of Settings.to_dict; absent options keep their defaults, unknown ones raise FastGSError."""
     if not isinstance(values, dict):
         raise FastGSError(f"training options are a table of names and values, not {shown(values)}.")
@@ -192,12 +192,12 @@ def from_dict(values: dict) -> Settings:
 def option_from_text(text: str) -> tuple[str, object]:
     """(name, value) of "name=value" as written on a command line; raises FastGSError."""
     name, equals, value = (part.strip() for part in text.partition("="))
-    option = next((option for option in fields(Settings) if option.name == name), None)
     if not equals:
         raise FastGSError(f"an option is written name=value, not {text!r}.")
-    if option is None:
+    default: Any = next((option.default for option in fields(Settings) if option.name == name), MISSING)
+    if default is MISSING:
         from_dict({name: value})
-    kind = type(option.default)
+    kind = type(default)
     try:
         if kind is bool:
             return name, {"true": True, "yes": True, "1": True, "false": False, "no": False, "0": False}[value.lower()]
@@ -205,10 +205,10 @@ def option_from_text(text: str) -> tuple[str, object]:
             return name, tuple(float(part) for part in value.split(",") if part.strip())
         return name, int(float(value)) if kind is int and float(value) == int(float(value)) else kind(value)
     except (KeyError, ValueError, OverflowError) as error:
-        raise FastGSError(f"the training option {name} cannot be {value!r}; its default is {option.default!r}.") from error
+        raise FastGSError(f"the training option {name} cannot be {value!r}; its default is {default!r}.") from error
 
 
-def _checked(option, value):
+def _checked(option: Field, value: Any) -> Any:
     """The value in the type of the field's default; raises FastGSError where it is of another."""
     example = option.default
     assert example is not MISSING

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks the state of a trainer, as a checkpoint holds it, before anything computes with it."""
+from typing import Any
+
 import numpy as np
 
 from ...formats.base import LIMIT, LIMITS
@@ -30,17 +32,17 @@ LONGEST = 1e12
 ADVICE = "the checkpoint is damaged or of another run, so delete it to train from the beginning."
 
 
-def is_number(value, low: float, high: float, kind: type | tuple = (int, float)) -> bool:
+def is_number(value: Any, low: float, high: float, kind: Any = (int, float)) -> bool:
     """Whether a JSON value is a number from low to high."""
     return isinstance(value, kind) and not isinstance(value, bool) and low <= value <= high
 
 
-def _are_numbers(values, count: int, most: float) -> bool:
+def _are_numbers(values: object, count: int, most: float) -> bool:
     """Whether a JSON value is a list of so many numbers that are no larger than `most`."""
     return isinstance(values, list) and len(values) == count and all(is_number(value, -most, most) for value in values)
 
 
-def checked_clip(values) -> Clip:
+def checked_clip(values: Any) -> Clip:
     """The clip of [frame_count, fps, start_frame]; raises FastGSError where these are no such numbers."""
     if not _are_numbers(values, 3, 1e12) or int(values[0]) != values[0] or int(values[2]) != values[2]:
         raise FastGSError(f"it does not say which frames the run is about; {ADVICE}")
@@ -53,7 +55,7 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
     arrays      names, types, shapes and ranges are compared with those of N Gaussians; N is the length of the positions
     iterations  of the whole run
     """
-    iteration = about.get("iteration")
+    iteration: Any = about.get("iteration")
     if not is_number(iteration, 0, min(iterations, LARGEST_COUNT), int):
         raise FastGSError(f"it says that {iteration} of {iterations} steps are done; {ADVICE}")
     if not is_number(about.get("depth"), 1e-30, 1e30):
@@ -81,7 +83,7 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
             _check_mean(name, arrays)
 
 
-def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
+def _expected(arrays: dict[str, np.ndarray], template: GaussianModel) -> dict[str, tuple[type, tuple[int, ...]]]:
     """Type and shape of each array by name."""
     position = arrays.get("optimiser.value.position")
     count = len(position) if position is not None and position.ndim else 0
@@ -92,7 +94,7 @@ def _expected(arrays, template) -> dict[str, tuple[type, tuple[int, ...]]]:
         shapes |= {name: getattr(template.appearance, name).shape for name in DECODER}
     if f"optimiser.value.{ANCHOR}" in arrays:
         shapes[ANCHOR] = shapes["features"]
-    expected = {}
+    expected: dict[str, tuple[type, tuple[int, ...]]] = {}
     for name, shape in shapes.items():
         expected |= {f"optimiser.{part}.{name}": (np.float32, shape) for part in ("value", "mean", "square")}
         expected[f"optimiser.count.{name}"] = np.int32, shape[:1]

@@ -5,7 +5,10 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from ...cameras.camera import Camera
+from ...captures.capture import Capture, Shot
+from ...captures.pixels.store import Pixels
 from .schedule import BACKGROUND, generator
+from .settings import Settings
 
 FIXED = {"black": 0.0, "white": 1.0}
 FOREGROUND = 2.0
@@ -30,7 +33,7 @@ class Target:
     least: np.ndarray | None = None
 
 
-def use_of_mask(settings, capture, shot, mask) -> str:
+def use_of_mask(settings: Settings, capture: Capture, shot: Shot, mask: np.ndarray | None) -> str:
     """How a shot's mask is used: cut, weight, only, or off where it has none."""
     if mask is None or settings.masks == "off":
         return "off"
@@ -41,17 +44,19 @@ def use_of_mask(settings, capture, shot, mask) -> str:
     return "only" if capture.mask_means == "valid" else "weight"
 
 
-def cover_of(use: str, pixels) -> np.ndarray | None:
+def cover_of(use: str, pixels: Pixels) -> np.ndarray | None:
     """The share of each pixel [h, w] that the model must cover; None: all of it.  use: the result of use_of_mask()."""
     return pixels.mask if use == "cut" else None if use == "off" else pixels.alpha
 
 
-def target(capture, pixels, shot, settings, reduction: int, *key: int, moving: np.ndarray | None = None) -> Target:
+def target(capture: Capture, pixels: Pixels, shot: Shot, settings: Settings, reduction: int, *key: int,
+           moving: np.ndarray | None = None) -> Target:
     """The target of a shot with these pixels (captures.pixels.store.Pixels).
 
     key     seeds the random background, where the settings ask for one
     moving  [h, w] how much each pixel moves (MovingPixels.share), or None: not known
     """
+    assert shot.camera is not None
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
     use = use_of_mask(settings, capture, shot, mask)
     background = weight = None
@@ -65,7 +70,7 @@ def target(capture, pixels, shot, settings, reduction: int, *key: int, moving: n
         rgb = rgb * cover[..., None] + (1 - cover)[..., None] * background
     elif FIXED.get(settings.background):
         background = np.full(3, FIXED[settings.background], np.float32)
-    if use == "weight":
+    if use == "weight" and mask is not None:
         weight = 1 + (FOREGROUND - 1) * mask
     elif use == "only":
         weight = mask
@@ -102,4 +107,4 @@ def small_camera(camera: Camera, reduction: int) -> Camera:
     if reduction == 1 or not h or not w:
         return camera
     return replace(camera, width=w, height=h, fx=camera.fx / reduction, fy=camera.fy / reduction, cx=camera.cx / reduction,
-                   cy=camera.cy / reduction, window=None)
+                   cy=camera.cy / reduction, window=(0, 0, w, h))

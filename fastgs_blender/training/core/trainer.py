@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The trainer: renders, compares, follows the gradient and controls the density; gives its whole state for checkpoints."""
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
 
-from ...captures.capture import Shot
+from ...captures.capture import Capture, Shot
 from ...captures.viewpoints import viewpoints
 from ...evaluation.training_record import corrections_entry
 from ...kernels.parameters import DECODER
@@ -27,6 +27,7 @@ from .model import empty_model, lasting, with_arrays
 from .moving_pixels import MovingPixels
 from .optimiser import Optimiser
 from .processes import Processes
+from .settings import Settings
 from .start import Start
 from .state import check_state
 from .statistics import Statistics
@@ -69,8 +70,8 @@ class Trainer:
     processes       those that take each step together
     """
 
-    def __init__(self, capture, store, settings, start: Start | None = None, *, decoder: GaussianModel | None = None,
-                 backend: str = "cpu", processes: Processes | None = None):
+    def __init__(self, capture: Capture, store: Any, settings: Settings, start: Start | None = None, *,
+                 decoder: GaussianModel | None = None, backend: str = "cpu", processes: Processes | None = None) -> None:
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.processes = processes or Processes()
@@ -85,7 +86,7 @@ class Trainer:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
         self.schedule = schedule.Views(self.shots, settings.seed)
         self.moving = MovingPixels(store, self.shots) if settings.moving_weight != 1 else None
-        self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots]))
+        self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots if shot.camera is not None]))
         self.template = empty_model(settings, capture.clip, capture.axes)
         self.delayed = DelayedStatistics(CameraEstimates.initial(capture, settings, start))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
@@ -133,7 +134,7 @@ class Trainer:
         measured = self.cameras.measure(backend, i, views, self._splat)
         statistics, seen = processes.statistics(backend, self.statistics), backend.zeros((len(self),))
         gradients = self._backward(views, statistics, seen)
-        losses = [view.loss.values for view in views]
+        losses = [view.loss.values for view in views if view.loss is not None]
         gradients, seen, losses, self.statistics = processes.sum_step(backend, gradients, seen, losses, statistics)
         if self.strategy.held:
             seen[:self.strategy.held] = 0
@@ -215,15 +216,16 @@ class Trainer:
         return self.backend.compare(view.picture, view.rgb, view.weight, view.target.background, s.dissimilarity, opaque_weight,
                                     s.loss_scale / (s.batch * self.processes.count), view.least)
 
-    def _backward(self, views: list[View], statistics: Statistics, seen) -> dict:
+    def _backward(self, views: list[View], statistics: Statistics, seen: Any) -> dict:
         """The gradients of the views' losses by name, summed; statistics and seen are added to."""
-        gradients = None
+        gradients: Any = None
         for view in views:
+            assert view.loss is not None
             gradients = self.backend.backward(view.picture, view.loss.rgb, view.loss.alpha, into=gradients, statistics=statistics,
                                               seen=seen, detach_time=True)
         return gradients
 
-    def _regularise(self, gradients: dict, rows) -> Any:
+    def _regularise(self, gradients: dict, rows: Any) -> Any:
         """Add the gradients of penalties that do not depend on the views; returns L_M-reg, [1] of the backend."""
         s, backend, arrays = self.settings, self.backend, self.optimiser.arrays
         penalty = backend.zeros((1,), np.float64)
@@ -253,7 +255,7 @@ class Trainer:
         around = Surroundings(backdrop_of(host, self.around), viewpoints(self.capture))
         return replace(lasting(self.model(provenance | corrections_entry(self.cameras.facts()))), surroundings=around)
 
-    def measure(self, shots):
+    def measure(self, shots: Sequence[Shot]) -> dict:
         """measure() of the model as it is now."""
         fit_colours = self.cameras.response.colours_differ
         return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name, fit_colours)
@@ -274,7 +276,7 @@ class Trainer:
                               f"({about.get('capture')}, not {fingerprint(self.capture)}); train it into a folder of its own.")
         check_state(arrays, about, self.template, self.settings.iterations)
 
-        def part(name):
+        def part(name: str) -> dict[str, np.ndarray]:
             return {key.removeprefix(f"{name}."): array for key, array in arrays.items() if key.startswith(f"{name}.")}
 
         self.iteration, self.depth, self.warm = about["iteration"], float(about["depth"]), about["warm"]
@@ -296,8 +298,9 @@ def _trained_arrays(start: Start, decoder: GaussianModel | None) -> dict[str, np
     return {name: np.array(array) for name, array in arrays.items()}
 
 
-def fingerprint(capture) -> dict:
+def fingerprint(capture: Capture) -> dict:
     """A fingerprint of a capture: its time line, and the number and size of the training pictures."""
     first = capture.training[0].camera
+    assert first is not None
     return {"frames": capture.clip.frame_count, "views": len(capture.views), "pictures": len(capture.training),
             "size": f"{first.width} x {first.height}"}

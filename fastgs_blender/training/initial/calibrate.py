@@ -6,6 +6,7 @@ to come from one kind of camera.
 """
 import json
 import tempfile
+from collections.abc import Callable, Sequence
 from dataclasses import asdict
 from pathlib import Path
 
@@ -14,7 +15,7 @@ import numpy as np
 from ...cameras import poses
 from ...cameras.camera import Camera
 from ...cameras.lens import Lens
-from ...captures.capture import Capture
+from ...captures.capture import Capture, Shot
 from ...captures.pixels.store import FrameStore
 from ...captures.posing import with_cameras
 from ...util.documentation import page
@@ -29,7 +30,7 @@ LEAST_VIEWS = 2
 FILE = "poses.json"
 
 
-def with_poses(capture, store, out, say=print):
+def with_poses(capture: Capture, store: FrameStore, out: str | Path, say: Callable[[str], None] = print) -> Capture:
     """The capture with a camera for each view; `store` gives its pictures, `out` is the run's folder, which keeps the poses.
 
     Returns the capture itself where it has poses.  Raises FastGSError where the mapper finds none.
@@ -63,7 +64,7 @@ def calibrated(capture: Capture, store: FrameStore) -> tuple[dict[str, Camera], 
     return best
 
 
-def mapped(shots, store) -> tuple[dict[str, Camera], dict[str, Lens]]:
+def mapped(shots: Sequence[Shot], store: FrameStore) -> tuple[dict[str, Camera], dict[str, Lens]]:
     """COLMAP's incremental mapper on the pictures of some shots: cameras and lenses by view, of its largest model."""
     from PIL import Image
 
@@ -106,7 +107,7 @@ def mapped(shots, store) -> tuple[dict[str, Camera], dict[str, Lens]]:
     return cameras, lenses
 
 
-def _upright(poses) -> np.ndarray:
+def _upright(poses: Sequence[np.ndarray]) -> np.ndarray:
     """The rotation [4, 4] of the world after which the cameras' mean downward direction is +y."""
     down = np.mean([pose[1, :3] for pose in poses], 0)
     down /= max(np.linalg.norm(down), 1e-12)
@@ -120,7 +121,7 @@ def _upright(poses) -> np.ndarray:
     return turn
 
 
-def keep(path, capture, cameras, lenses):
+def keep(path: Path, capture: Capture, cameras: dict[str, Camera], lenses: dict[str, Lens]) -> None:
     """Write the poses of a capture's views into a file: first under another name, then renamed."""
     values = {view: {**{n: getattr(c, n) for n in ("width", "height", "fx", "fy", "cx", "cy")},
                      "world_to_camera": c.world_to_camera.tolist(), "lens": asdict(lenses[view])} for view, c in cameras.items()}
@@ -139,8 +140,8 @@ def kept(path: Path, capture: Capture) -> tuple[dict[str, Camera], dict[str, Len
         for view, entry in values["cameras"].items():
             where = f"{path}: the camera of {view}"
             lens = entry["lens"]
-            lenses[view] = Lens(lens["model"], *(tuple(poses.numbers(v, (len(v),), where)) for v in (lens["k"], lens["p"])),
-                                poses.number(lens["skew"], where))
+            k, p = (tuple(poses.numbers(v, (len(v),), where)) for v in (lens["k"], lens["p"]))
+            lenses[view] = Lens(lens["model"], k, p, poses.number(lens["skew"], where))
             known = poses.intrinsics(where, *(entry[name] for name in ("fx", "fy", "cx", "cy", "width", "height")))
             cameras[view] = Camera(known.width, known.height, known.fx, known.fy, known.cx, known.cy,
                                    poses.rigid(entry["world_to_camera"], where))

@@ -4,14 +4,17 @@ along large planes.
 
 Points that look the same at other moments belong to all times; all others carry the moment at which they were found, and a velocity.
 """
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
 
 import numpy as np
 
+from ...cameras.camera import Camera
 from ...captures.capture import Capture, Points, Shot, by_view
 from ...captures.exposures import gains_of
+from ...captures.pixels.store import Pixels
 from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
@@ -43,7 +46,8 @@ STEADY, MOSTLY = 0.2, 0.8
 agree on it for what belongs to all times."""
 
 
-def triangulated(capture, store, settings, progress=lambda done, of: None) -> tuple[Points, str, Any]:
+def triangulated(capture: Capture, store: Any, settings: Settings,
+                 progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[Points, str, Any]:
     """At most settings.init_points points, a clause about them, and the store with colours in which cameras agree on them; calls
     progress(done, of) for the moments whose features and whose surfaces are found, compared and followed.
 
@@ -59,7 +63,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
     progress(0, of)
     found, store = _features(capture, store, settings, some, tick)
     how = f"{len(found)} features triangulated"
-    if not np.isfinite(found.t).all():
+    if found.t is None or not np.isfinite(found.t).all():
         return evenly(found, settings.init_points), how, store
     pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
@@ -91,7 +95,7 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         timed.append(cloud.take(~steady))
         tick()
     if settings.init_motion:
-        def seen(cloud, k):
+        def seen(cloud: Points, k: int) -> np.ndarray:
             agree, against = votes(cloud, pictures[k], depths[k], few)
             return agree > against
 
@@ -99,14 +103,15 @@ def triangulated(capture, store, settings, progress=lambda done, of: None) -> tu
         for k in range(len(at_rest)):
             timed.append(in_motion(at_rest, k, seen))
             tick()
-    still = evenly(among_others(joined(still), centres), settings.init_points // 2)
-    share = (settings.init_points - len(still)) // len(timed)
-    still = Points(still.xyz, still.rgb, np.full(len(still), np.nan))
+    steadily = evenly(among_others(joined(still), centres), settings.init_points // 2)
+    share = (settings.init_points - len(steadily)) // len(timed)
+    always = Points(steadily.xyz, steadily.rgb, np.full(len(steadily), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
-    return joined([still, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how, store
+    return joined([always, *(drawn(cloud, share, settings.seed, k) for k, cloud in enumerate(timed))]), how, store
 
 
-def _features(capture, store, settings, moments, tick):
+def _features(capture: Capture, store: Any, settings: Settings, moments: list[list[Shot]],
+              tick: Callable[[], None]) -> tuple[Points, CorrectedStore]:
     """Points triangulated from features at these moments, and the store with colours in which cameras agree on these points; tick() is
     called after each moment.
 
@@ -150,7 +155,8 @@ def response_of(capture: Capture, settings: Settings, looks: list[dict[str, np.n
     return CameraResponse.initial(views, capture.clip.frame_count, settings, gains_of(table))
 
 
-def _look_from_elsewhere(capture, store, settings, moments, points, toward, looks) -> None:
+def _look_from_elsewhere(capture: Capture, store: Any, settings: Settings, moments: list[list[Shot]], points: Points, toward: np.ndarray,
+                         looks: list[dict[str, np.ndarray]]) -> None:
     """Add the colours that points have in views which are not among the moments' pictures, at the points' own moments.
 
     toward  [P, 3] mean directions to the cameras that see the points: what is seen from much the same side is not hidden there
@@ -167,7 +173,7 @@ def _look_from_elsewhere(capture, store, settings, moments, points, toward, look
                     looks[k][view] = sample(image, places[k:k + 1])[0]
 
 
-def votes(cloud: Points, pictures, depths, few: bool = False) -> np.ndarray:
+def votes(cloud: Points, pictures: Sequence[tuple], depths: Sequence[Any], few: bool = False) -> np.ndarray:
     """Counts [2, P] of a moment's pictures that agree with each point, and that contradict it (they see through it, or another colour).
 
     A picture in which something is before the point says nothing.  few: one whose neighbours nowhere look alike there says nothing either,
@@ -196,7 +202,7 @@ def drawn(points: Points, most: int, seed: int, *key: int) -> Points:
     return points.take(np.sort(generator(seed, POINTS, 2, *key).choice(len(points), most, replace=False)))
 
 
-def among_others(points: Points, centres=None) -> Points:
+def among_others(points: Points, centres: np.ndarray | None = None) -> Points:
     """The points without isolated ones and small isolated groups: surfaces have many neighbours.
 
     centres  [V, 3] of few cameras: distances count by how far away the nearest of them is, for the same pixels are farther apart on a
@@ -221,15 +227,16 @@ def chosen_moments(capture: Capture) -> list[list[Shot]]:
     return [spread(by_frame[frame], MOST_VIEWS) for frame in spread(frames, MOMENTS)]
 
 
-def spread(values, most):
+def spread(values: Sequence, most: int) -> list:
     """At most so many items of a list, evenly spread."""
     if len(values) <= most:
         return list(values)
     return [values[i] for i in np.round((np.arange(most) + 0.5) * len(values) / most - 0.5).astype(int)]
 
 
-def picture(capture, store, settings, shot, side):
+def picture(capture: Capture, store: Any, settings: Settings, shot: Shot, side: int) -> tuple[np.ndarray, Camera, np.ndarray | None]:
     """A shot's rgb with its longer side at most `side`, the camera at that size, and the mask [h, w] of valid pixels (None: all)."""
+    assert shot.camera is not None
     pixels = store.pixels(shot)
     reduction = -(-max(pixels.rgb.shape[:2]) // side)
     inside = shown_part(capture, settings, shot, pixels)
@@ -240,21 +247,22 @@ def picture(capture, store, settings, shot, side):
             None if inside is None else smaller(inside, reduction))
 
 
-def few_cameras(moments) -> bool:
+def few_cameras(moments: list[list[Shot]]) -> bool:
     """Whether the moments have few pictures: two that agree are enough then, and more is asked of what contradicts them."""
     return 1 < max(map(len, moments)) <= FEW_CAMERAS and len({shot.frame for shot in moments[0]}) == 1
 
 
-def enlarged(capture, shot):
+def enlarged(capture: Capture, shot: Shot) -> Shot:
     """The shot with a picture of SMALLEST_SIDE pixels, or as large as its file: for runs that train on smaller ones."""
     camera = shot.camera
+    assert camera is not None
     factor = min(SMALLEST_SIDE / max(camera.width, camera.height), 1 / capture.scale)
     if factor <= 1:
         return shot
     return replace(shot, camera=camera.stretched(round(camera.width * factor), round(camera.height * factor)))
 
 
-def shown_part(capture, settings, shot, pixels):
+def shown_part(capture: Capture, settings: Settings, shot: Shot, pixels: Pixels) -> np.ndarray | None:
     """The share of each pixel [h, w] that masks leave of a picture; None: all of it."""
     use = use_of_mask(settings, capture, shot, pixels.mask)
     return pixels.mask if use == "only" else cover_of(use, pixels)

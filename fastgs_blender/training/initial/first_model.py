@@ -1,13 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the model that training begins with: one Gaussian for each starting point."""
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from ...captures.capture import Capture
 from ...model.gaussians import Clip, GaussianModel
 from ...model.points import Points
 from ...model.temporal import Radial
 from ..core.model import empty_model
+from ..core.settings import Settings
 from .geometry import project, visible
 from .neighbours import neighbour_distance
 from .velocity import straight
@@ -18,7 +21,7 @@ ENOUGH = 100
 """Points in pictures from which a distance is taken."""
 
 
-def depth_of(points: Points, capture) -> float:
+def depth_of(points: Points, capture: Capture) -> float:
     """How far away what the cameras film is: the median depth of the starting points in the pictures, at least the capture's extent.
 
     Cameras around a subject stand as far from it as from each other.  A rig that looks forward films what is several times farther
@@ -28,13 +31,12 @@ def depth_of(points: Points, capture) -> float:
     xyz = np.asarray(points.xyz, np.float64)
     if points.size is not None:
         xyz = xyz[~np.isfinite(points.size)]
-    cameras = {shot.camera.world_to_camera.tobytes(): shot.camera for shot in capture.training}
-    depths = [project(camera, xyz)[1][visible(camera, xyz)] for camera in cameras.values()]
-    depths = np.concatenate(depths) if depths else np.empty(0)
+    cameras = {shot.camera.world_to_camera.tobytes(): shot.camera for shot in capture.training if shot.camera is not None}
+    depths = np.concatenate([np.empty(0), *(project(camera, xyz)[1][visible(camera, xyz)] for camera in cameras.values())])
     return max(capture.extent, float(np.median(depths)) if len(depths) >= ENOUGH else 0.0)
 
 
-def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: float) -> GaussianModel:
+def model_from_points(points: Points, settings: Settings, clip: Clip, axes: str, extent: float) -> GaussianModel:
     """The model that training begins with: one Gaussian per point; a point with t = NaN is visible at all times.
 
     Isotropic, as large as the point says, else init_scale times the mean distance to the three nearest points of the same time
@@ -52,21 +54,22 @@ def model_from_points(points: Points, settings, clip: Clip, axes: str, extent: f
     if points.size is not None:
         size = np.where(np.isfinite(points.size), points.size, size)
     empty = empty_model(settings, clip, axes)
-    arrays = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
+    arrays: dict[str, Any] = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
     arrays["position"][:] = xyz
     arrays["rotation"][:, 0] = 1
     arrays["scale"][:] = np.log(size)[:, None]
     arrays["opacity"][:] = np.log(settings.init_opacity / (1 - settings.init_opacity))
     arrays["features"][:] = empty.appearance.features_of(np.asarray(points.rgb, np.float64))
     arrays["mu_tau"][:] = np.where(timed, time, 0.5)
-    moving = timed & (False if points.velocity is None or not empty.basis.terms else np.any(points.velocity, axis=1))
+    velocity = np.zeros((n, 3)) if points.velocity is None else points.velocity
+    moving = timed & (np.any(velocity, axis=1) if empty.basis.terms else False)
     if isinstance(empty.temporal_kind, Radial):
         life = np.where(moving, MOVING, np.where(timed, settings.init_duration, settings.init_duration_static))
         arrays["temporal"][:, 0] = -2 * np.log(life)
     last = (clip.frame_count - 1) / clip.frame_count
     for moment in np.unique(time[moving]):
         rows = np.flatnonzero(moving & (time == moment))
-        motion = straight(empty.basis, moment, MOVING, last)[:, None] * points.velocity[rows][:, None]
+        motion = straight(empty.basis, moment, MOVING, last)[:, None] * velocity[rows][:, None]
         arrays["motion"][rows] = motion
         arrays["position"][rows] -= np.einsum("k,nkd->nd", empty.basis.weights(0.0 if empty.basis.centred else moment), motion)
     return replace(empty, **arrays)

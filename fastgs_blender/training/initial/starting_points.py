@@ -3,20 +3,23 @@
 
 The source and the number of points are printed.  The result depends on the seed and the pictures alone.
 """
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 
-from ...captures.capture import Points
+from ...captures.capture import Capture, Points
 from ...util.errors import FastGSError
 from ..core.schedule import POINTS, generator
+from ..core.settings import Settings
 from .dense import FEW, depth_range, picture, spread, triangulated
 from .geometry import sample, unproject, visible
 
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
 
 
-def initial_points(capture, store, settings, say=print, progress=lambda done, of: None) -> tuple[Points, Any]:
+def initial_points(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print,
+                   progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[Points, Any]:
     """The points that training starts from, at most settings.init_points, and the store with colours in which cameras agree, where it is
     found that they differ (CorrectedStore); t is NaN for points that are visible at all times.
 
@@ -52,20 +55,20 @@ def thinned(points: Points, most: int, seed: int) -> Points:
     rows = np.arange(len(points))
     if len(rows) > most:
         rows = np.sort(generator(seed, POINTS, 1).choice(rows, most, replace=False))
-    kept = {name: None if array is None else np.asarray(array, np.float32)[rows] for name, array in vars(points).items()}
+    kept: dict[str, Any] = {name: None if array is None else np.asarray(array, np.float32)[rows] for name, array in vars(points).items()}
     return Points(**kept | {"rgb": np.clip(kept["rgb"], 0, 1)})
 
 
 # The sources: functions of (capture, store, settings, progress) that return points, a clause about them, and a store
 
 
-def from_file(capture, store, settings, progress):
+def from_file(capture: Capture, store: Any, settings: Settings, progress: Callable[[int, int], None]) -> tuple[Points, str, Any]:
     if capture.points is None:
         raise FastGSError(f"{capture.path}: its layout brings no point file.")
     return capture.points, SOURCES["file"], store
 
 
-def random_points(capture, store, settings, progress):
+def random_points(capture: Capture, store: Any, settings: Settings, progress: Callable[[int, int], None]) -> tuple[Points, str, Any]:
     """Points behind random pixels in the pixels' colours, where at least half as many cameras see as at the best-seen place."""
     rng = generator(settings.seed, POINTS, 3)
     shots = spread(capture.training, 64)
@@ -80,7 +83,7 @@ def random_points(capture, store, settings, progress):
         good = np.ones(n, bool) if inside is None else sample(inside[..., None], places)[:, 0] > 0.5
         clouds.append((unproject(camera, places, depth)[good], sample(image, places)[good]))
     xyz, rgb = (np.concatenate(parts) for parts in zip(*clouds))
-    seen = sum(visible(camera, xyz) for camera in cameras)
+    seen = np.sum([visible(camera, xyz) for camera in cameras], 0)
     common = seen >= seen.max(initial=0) / 2
     return thinned(Points(xyz[common], rgb[common]), settings.init_points, settings.seed), "random, where several cameras look", store
 

@@ -34,9 +34,10 @@ def in_motion(clouds: list[Points], k: int, seen: Callable[[Points, int], np.nda
     for other in (k - 1, k + 1):
         if not 0 <= other < len(clouds) or min(len(cloud), len(clouds[other])) < COMPANY:
             continue
-        step = displacements(cloud, clouds[other])
+        step, now, then = displacements(cloud, clouds[other]), cloud.t, clouds[other].t
+        assert now is not None and then is not None
         found = seen(replace(cloud, xyz=cloud.xyz + step), other)[:, None]
-        apart = float(clouds[other].t[0] - cloud.t[0])
+        apart = float(then[0] - now[0])
         along += np.where(found, step * apart, 0)
         square += np.where(found, apart**2, 0)
     return replace(cloud, velocity=along / np.maximum(square, 1e-12))

@@ -4,11 +4,14 @@
 The pictures decide which Gaussians are taken, and their colours: those that cover pixels, and more of them where they cover more pixels.
 Some of the others are taken too, so that there is no hole where nobody filmed; nothing in training changes them.
 """
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ... import formats
+from ...cameras.camera import Camera
 from ...captures.capture import Capture, Points
 from ...captures.pixels.store import FrameStore
 from ...formats.turning import with_axes
@@ -46,7 +49,7 @@ FOLLOWED, AIMED = 0.5, 3.0
 """Pixels, and degrees, by which 95 % of all moments of the Gaussians that move may be off."""
 
 
-def starting_model(capture, settings, say) -> GaussianModel | None:
+def starting_model(capture: Capture, settings: Settings, say: Callable[[str], None]) -> GaussianModel | None:
     """The model to begin with, in the capture's axes: the settings' one, else the one that the capture brings; None without either.
 
     Raises FastGSError where the settings' one cannot be read; without the capture's one training begins with points.
@@ -70,7 +73,7 @@ def begins_with_model(capture: Capture, settings: Settings) -> bool:
     return starting_model(capture, settings, lambda text: None) is not None
 
 
-def following(capture, settings):
+def following(capture: Capture, settings: Settings) -> Settings:
     """The settings with as many coefficients of motion, and of rotation, as follow the model that training begins with.
 
     Where motion has to be found in pictures of some frames, few coefficients keep it from swinging between these.  A bake tells places at
@@ -87,7 +90,7 @@ def following(capture, settings):
     slices = [slice_model(model, _time(capture, moment), cull=False) for moment in t]
     places, turns = np.stack([now.position for now in slices]), _turns(slices)
     away = float(np.median(np.linalg.norm(capture.centres() - capture.focus, axis=1)))
-    pixel = max(away, 1e-3 * capture.extent) / float(np.median([shot.camera.fx for shot in capture.training]))
+    pixel = max(away, 1e-3 * capture.extent) / float(np.median([shot.camera.fx for shot in capture.training if shot.camera is not None]))
     moves = np.ptp(places, axis=0).max(-1) > pixel
     if not moves.any():
         return settings
@@ -163,7 +166,7 @@ def _seen(model: GaussianModel, capture: Capture, store: FrameStore, settings: S
     return _Seen(area, np.divide(sums, area[:, None], out=np.clip(plain * light, 0, 1), where=area[:, None] > 0))
 
 
-def _facing(now: Slice, rows, camera) -> np.ndarray:
+def _facing(now: Slice, rows: np.ndarray, camera: Camera) -> np.ndarray:
     """How much the Gaussians' flat side faces the camera: the cosine."""
     axes = to_matrices(now.rotation[rows])
     normal = axes[np.arange(len(rows)), :, now.scale[rows].argmin(1)]
@@ -194,7 +197,7 @@ def _fitted(model: GaussianModel, rgb: np.ndarray, capture: Capture, settings: S
     slices = [slice_model(model, _time(capture, moment), cull=False) for moment in t]
     empty = empty_model(settings, capture.clip, capture.axes)
     n = len(model)
-    arrays = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
+    arrays: dict[str, Any] = {name: np.zeros(shape, np.float32) for name, shape in empty.shapes(n).items()}
     places, _ = Fit.of(empty.basis, t)(np.stack([now.position for now in slices]))
     turns = _turns(slices)
     quaternions, followed = Fit.of(empty.rotation_basis, t)(turns)
@@ -228,7 +231,7 @@ def _moments(capture: Capture) -> np.ndarray:
     return np.linspace(0, (frames - 1) / frames, min(2 * frames - 1, 96)) if frames > 1 else np.zeros(1)
 
 
-def _turns(slices) -> np.ndarray:
+def _turns(slices: Sequence[Slice]) -> np.ndarray:
     """Unit quaternions [S, N, 4] of slices, each of the sign that is nearer to the one before."""
     turns = np.stack([now.rotation for now in slices])
     flips = np.r_[np.zeros((1, turns.shape[1])), (turns[1:] * turns[:-1]).sum(-1) < 0]

@@ -3,6 +3,7 @@
 import tempfile
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
@@ -24,7 +25,7 @@ ERROR = 0.04
 """Standard deviation of a refined clock at best, in frames (benchmarks/uneven.py)."""
 
 
-def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None = None, steps: int = STEPS,
+def refined(path: str | Path, first: Clocks, lost: Collection[str] = (), layout: str | None = None, steps: int = STEPS,
             *, frames: slice | None = None, progress: Callable[[int, int], None] = lambda done, of: None,
             starting: Callable[[int, int], None] = lambda done, of: None) -> tuple[Clocks, tuple[str, ...]]:
     """The clocks of a posed capture, from offsets that are right within a frame or so; and the views whose clock stays unsure.
@@ -41,7 +42,7 @@ def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None 
     if not capture.posed:
         raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
     with tempfile.TemporaryDirectory() as folder:
-        store = FrameStore(capture, folder=folder)
+        store = FrameStore(capture, folder=Path(folder))
         store.fill()
         chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, init_points=POINTS, preview_every=0)
         expected = expected_clocks(capture, store, chosen)
@@ -63,7 +64,7 @@ def refined(path, first: Clocks, lost: Collection[str] = (), layout: str | None 
     return Clocks({view: offset - middle for view, offset in offsets.items()}, uncertainty, "training"), tuple(set(lost) - known)
 
 
-def _small(path, offsets: Mapping[str, float], layout: str | None, frames: slice | None) -> Capture:
+def _small(path: str | Path, offsets: Mapping[str, float], layout: str | None, frames: slice | None) -> Capture:
     """The capture with these offsets, small, of the middle of the frames."""
     whole = open_capture(path, layout=layout, offsets=offsets, held_out=(), frames=frames)
     scale = min(1.0, SIDE / max(picture_size(whole.shots[0].image)))

@@ -24,6 +24,7 @@ class _Noise:
 
     def pixels(self, shot: Shot) -> Pixels:
         """Noise of the shot's size."""
+        assert shot.camera is not None
         return Pixels(np.random.default_rng(1).random((shot.camera.height, shot.camera.width, 3), np.float32))
 
 

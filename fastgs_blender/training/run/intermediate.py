@@ -19,7 +19,7 @@ from .written import write
 VALUE = "optimiser.value."
 
 
-def write_model(out) -> Path:
+def write_model(out: str | Path) -> Path:
     """Write the model of the run in a folder as it stands; returns its path.  Raises FastGSError where there is none yet.
 
     Of a long capture, which is trained in segments, it is the segment that is being trained.
@@ -44,8 +44,8 @@ def model_of(arrays: dict[str, np.ndarray], about: dict) -> GaussianModel:
 
     Raises FastGSError where they are not those of a model.
     """
-    settings = from_dict(about.get("settings"))
-    empty = empty_model(settings, checked_clip(about.get("clip")), about.get("axes"))
+    settings, axes = from_dict(about.get("settings")), about.get("axes", "")
+    empty = empty_model(settings, checked_clip(about.get("clip")), axes)
     check_state(arrays, about, empty, settings.iterations)
     values = {name.removeprefix(VALUE): array for name, array in arrays.items() if name.startswith(VALUE)}
     backdrop = backdrop_of(values, about["around"])
