@@ -10,6 +10,8 @@
                 splats and with the share that is drawn by default; Solid must not take more than 1.3 times as long
 * still         a redraw in which nothing has changed, in Solid shading
 * playback      frames a second, drawn one after the other as fast as they come
+* orbit         1 M still Gaussians, the camera moves: the main thread's own time for a redraw; how much later than on an idle process it
+                wakes while the thread sorts, which includes waiting for Python's lock; orders exact and in motion; what is held
 * stages        what diagnostics report: each stage of a picture until the GPU has done it
 
 Needs a Python with Blender's bpy, and an EGL driver.
@@ -51,6 +53,13 @@ def load_extension():
 
 def module(name):
     return import_module(f"{ADDON}.{name}")
+
+
+def cloud(fg, n: int):
+    """Gaussians that stand still, in plain colours."""
+    rng = np.random.default_rng(0)
+    return fg.GaussianModel(position=rng.normal(0, 1, (n, 3)), rotation=rng.normal(size=(n, 4)), scale=rng.normal(-5.5, 0.5, (n, 3)),
+                            opacity=rng.normal(1, 2, n), features=rng.uniform(0, 1, (n, 3)))
 
 
 def capture(fg, n: int):
@@ -98,8 +107,15 @@ class Stopwatch:
         self.processor += time.thread_time() - processor
 
 
-def playback(fg, n: int, frames: int) -> dict:
-    """Play a capture in a view, as fast as it goes."""
+def wake(milliseconds: float = 1.0) -> float:
+    """By how many milliseconds this thread wakes too late."""
+    start = time.perf_counter()
+    time.sleep(1e-3 * milliseconds)
+    return 1e3 * (time.perf_counter() - start) - milliseconds
+
+
+def playback(fg, model, frames: int, orbit: float | None = None) -> dict:
+    """Play a capture in a view, as fast as it goes; orbit: its time stands still, and of the splats this share is drawn."""
     import gpu
 
     atlas, textures, view, eye, worker, shaders, sorting = (module(f"engine.viewport.{name}") for name in (
@@ -107,21 +123,23 @@ def playback(fg, n: int, frames: int) -> dict:
     snapshot = module("scene.snapshot")
     retime = module("scene.time").Retime(start_frame=0.0)
     path = Path(tempfile.mkdtemp()) / "capture.safetensors"
-    fg.save(capture(fg, n), path)
+    fg.save(model, path)
     focal = 1.2
     window = np.array([[focal, 0, 0, 0], [0, focal * SIZE[0] / SIZE[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
     thread, textures_of_all = worker.Worker(), atlas.Atlas()
     shown = view.View(textures_of_all, thread)
     display = view.Display(np.eye(3))
-    watches = [Stopwatch(batch) for _, batch in (shaders.splats(True, False), shaders.resolve(True, False, False))]
-    pairs = [shaders.splats(True, False)[0], shaders.resolve(True, False, False)[0]]
-    shaders.splats = lambda *kind: (pairs[0], watches[0])
-    shaders.resolve = lambda *kind: (pairs[1], watches[1])
+    features = isinstance(model.appearance, fg.Features)
+    pairs = shaders.splats(features, False), shaders.resolve(features, False, False)
+    watches = [Stopwatch(batch) for _, batch in pairs]
+    shaders.splats = lambda *kind: (pairs[0][0], watches[0])
+    shaders.resolve = lambda *kind: (pairs[1][0], watches[1])
     offscreen = gpu.types.GPUOffScreen(*SIZE, format='RGBA16F')
-    own, processor, sent, order = [], [], [], []
+    own, processor, sent, order, hurried, late = [], [], [], [], [], []
     with offscreen.bind():
         for number in range(frames + 2):
-            moment = snapshot.Snapshot([snapshot.FileInstance("capture", str(path), np.eye(4), retime)], float(number), 30.0)
+            at = float(number if orbit is None else 1)
+            moment = snapshot.Snapshot([snapshot.FileInstance("capture", str(path), np.eye(4), retime)], at, 30.0)
             turn = 0.01 * number
             pose = np.array([[np.cos(turn), 0, np.sin(turn), 0], [0, 1, 0, 0], [-np.sin(turn), 0, np.cos(turn), -4], [0, 0, 0, 1]])
             bytes_before = textures.Sent.bytes
@@ -129,32 +147,35 @@ def playback(fg, n: int, frames: int) -> dict:
                 watch.seconds = watch.processor = 0.0
             start, start_processor = time.perf_counter(), time.thread_time()
             camera, _ = eye.eye(*SIZE, pose, window)
-            shown.draw(moment, camera, display, playing=True, wait=number == 0)
+            shown.draw(moment, camera, display, orbit or 1.0, playing=True, wait=number == 0)
             own.append(time.perf_counter() - start - sum(w.seconds for w in watches))
             processor.append(time.thread_time() - start_processor - sum(w.processor for w in watches))
             sent.append(textures.Sent.bytes - bytes_before)
             gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, 'FLOAT')  # until the picture is there
             while shown.waiting:
-                time.sleep(0.001)
-        for _ in range(9):
-            start = time.perf_counter()
-            sorting.sort(moment, camera, 1.0, textures_of_all)
-            order.append(time.perf_counter() - start)
+                late.append(wake())
+        standing = {}
+        for share, kept, times in [(1.0, None, order)] * 9 + [(orbit or 1.0, standing, hurried)] * 10:
+            start = time.process_time()
+            sorting.sort(moment, camera, share, textures_of_all, kept)
+            times.append(time.process_time() - start)
+        idle = [wake() for _ in range(len(late))]
     thread.stop()
     path.unlink()
+    importlib.reload(shaders)  # without the stopwatches
     return {"first frame": 1e3 * own[0], "main thread": [1e3 * x for x in own[2:]],
-            "processor": [1e3 * x for x in processor[2:]], "upload": sent[2:], "order": [1e3 * x for x in order]}
+            "processor": [1e3 * x for x in processor[2:]], "upload": sent[2:], "order": [1e3 * x for x in order],
+            "in motion": [1e3 * x for x in hurried[1:]], "late": late, "idle": idle,
+            "held": {"atlas": textures_of_all.nbytes, "standing": sum(a.nbytes for entry in standing.values() for a in entry)}}
 
 
-def shadings(fg, n: int, frames: int) -> dict:
+def shadings(fg, n: int, frames: int, share: float) -> dict:
     """Redraws in Rendered and in Solid shading, alternating, as milliseconds until the GPU has done them."""
     import gpu
 
-    atlas, view, eye, worker, spaces, timing, properties = (module(name) for name in (
-        "engine.viewport.atlas", "engine.viewport.view", "engine.viewport.eye", "engine.viewport.worker", "engine.viewport.spaces",
-        "engine.viewport.timing", "scene.properties"))
+    atlas, view, eye, worker, spaces, timing = (module(f"engine.viewport.{name}") for name in (
+        "atlas", "view", "eye", "worker", "spaces", "timing"))
     snapshot, retime = module("scene.snapshot"), module("scene.time").Retime(start_frame=0.0)
-    share = properties.FASTGS_PG_scene.bl_rna.properties["viewport_density"].default
     path = Path(tempfile.mkdtemp()) / "capture.safetensors"
     fg.save(capture(fg, n), path)
     window = np.array([[1.2, 0, 0, 0], [0, 1.2 * SIZE[0] / SIZE[1], 0, 0], [0, 0, -1.0002, -0.02], [0, 0, -1, 0]])
@@ -208,12 +229,13 @@ def shadings(fg, n: int, frames: int) -> dict:
             out[f"stage: {stage}"] = [value]
     thread.stop()
     path.unlink()
-    return {name: statistics.median(values) for name, values in out.items()} | {"share": share}
+    return {name: statistics.median(values) for name, values in out.items()}
 
 
 def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--gaussians", type=int, default=300_000)
+    parser.add_argument("--orbit", type=int, default=1_000_000, help="Gaussians of the orbit; 0: none")
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--json", type=Path)
     arguments = parser.parse_args()
@@ -224,17 +246,27 @@ def main():
     open_gpu(bpy.context.scene)
     fg, threads = module("fastgs_blender"), module("fastgs_blender.util.threads")
     sort = sort_milliseconds()
-    played = playback(fg, arguments.gaussians, arguments.frames)
+    played = playback(fg, capture(fg, arguments.gaussians), arguments.frames)
     own, sent = played["main thread"], played["upload"]
     figures = {
         "threads": threads.thread_count(), "gaussians": arguments.gaussians, "sort of 1 M, ms": statistics.median(sort),
-        "culling and sorting, ms": statistics.median(played["order"]), "upload a frame, MB": max(sent) / 1e6,
+        "culling and sorting, processor ms": statistics.median(played["order"]), "upload a frame, MB": max(sent) / 1e6,
         "main thread, ms, median": statistics.median(own), "main thread, ms, 95 %": float(np.percentile(own, 95)),
         "main thread, processor ms": statistics.median(played["processor"]), "first frame, ms": played["first frame"],
     }
-    importlib.reload(module("engine.viewport.shaders"))  # without the stopwatches
-    shown = shadings(fg, arguments.gaussians, max(arguments.frames // 4, 3))
-    share = shown.pop("share")
+    share = module("scene.properties").FASTGS_PG_scene.bl_rna.properties["viewport_density"].default
+    if arguments.orbit:
+        orbit = playback(fg, cloud(fg, arguments.orbit), arguments.frames, share)
+        figures |= {
+            "orbit: main thread, processor ms, median": statistics.median(orbit["processor"]),
+            "orbit: main thread, processor ms, 95 %": float(np.percentile(orbit["processor"], 95)),
+            "orbit: upload, MB": max(orbit["upload"]) / 1e6,
+            "orbit: wakes late while sorting, ms, 95 %": float(np.percentile(orbit["late"], 95)),
+            "orbit: wakes late while idle, ms, 95 %": float(np.percentile(orbit["idle"], 95)),
+            "orbit: exact order, processor ms": statistics.median(orbit["order"]),
+            "orbit: order in motion, processor ms": statistics.median(orbit["in motion"]),
+            "orbit: atlas, MB": orbit["held"]["atlas"] / 1e6, "orbit: kept for motion, MB": orbit["held"]["standing"] / 1e6}
+    shown = shadings(fg, arguments.gaussians, max(arguments.frames // 4, 3), share)
     for label in ("all", f"{share:g} of all"):
         shown[f"scrubbing, Solid / Rendered, {label}"] = shown[f"scrubbing Solid, {label}"] / shown[f"scrubbing Rendered, {label}"]
     figures |= {(f"{name}, ms" if not name.startswith("playback") and "/" not in name else

@@ -269,8 +269,9 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
     show_erased: BoolProperty(
         name="Show Erased", description="Show in viewports, in red, what was erased", default=False, update=updates.viewports)
     viewport_density: FloatProperty(
-        name="Density in Motion", description="Share of the Gaussians to draw while the view moves or the time changes, the most "
-        "important ones first", subtype='FACTOR', min=0.01, max=1.0, default=0.8, update=updates.viewports)
+        name="Density in Motion", description="Share of the Gaussians in view to draw while the view moves or the time changes: those "
+        "that count most in the picture. 1 draws all, in exact order", subtype='FACTOR', min=0.01, max=1.0, default=0.7,
+        update=updates.viewports)
     viewport_pixels: EnumProperty(
         name="Pixel Size", description="Draw splats in viewports at a lower resolution",
         items=(

@@ -26,7 +26,7 @@ class FASTGS_PT_viewport(Sidebar, bpy.types.Panel):
         layout, settings = split(self.layout, decorate=False), context.scene.fastgs
         layout.prop(settings, "viewport_density", text="In Motion")
         layout.prop(settings, "viewport_pixels")
-        draw_rows(layout, [("GPU Memory", facts.size(viewports.memory()))])
+        draw_rows(layout, [("GPU Memory", f"{facts.size(viewports.memory())} of at most {facts.size(viewports.most_memory())}")])
         if context.engine == 'FASTGS':
             draw_unshown(layout, context)
             text = unshown.in_viewports(context.scene)

@@ -23,6 +23,10 @@ WASTE = 4
 """Textures of which less than one row in so many is used are made anew."""
 
 
+MOST_BYTES = ROWS * WIDTH * (16 + 8)
+"""The largest that both textures together become."""
+
+
 class TooLarge(Exception):
     """The models do not fit into textures."""
 

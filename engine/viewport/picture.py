@@ -17,7 +17,7 @@ import gpu
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera
-from ...fastgs_blender.kernels.gl.frame_table import ORDER_WIDTH, Depths, ViewTexel, frame_table
+from ...fastgs_blender.kernels.gl.frame_table import Depths, ViewTexel, frame_table
 from ...fastgs_blender.kernels.gl.resolve_table import resolve_table
 from ...fastgs_blender.rendering.instances import ViewedInstance
 from ...fastgs_blender.rendering.layout import decoding
@@ -27,7 +27,7 @@ from . import shaders
 from .atlas import Atlas
 from .covering import covering_table
 from .eye import WHOLE
-from .textures import upload, upload_list
+from .textures import upload
 
 FORMAT = 'RGBA16F'
 HALF = 65_504
@@ -78,9 +78,9 @@ class SceneDepth:
 class Order:
     """Which Gaussians to draw, the nearest first, on the GPU; see sorting.Sorted.order."""
 
-    def __init__(self, indices: np.ndarray):
-        self.count = len(indices)
-        self.texture = upload_list(indices, ORDER_WIDTH)
+    def __init__(self, rows: np.ndarray, count: int):
+        self.count = count
+        self.texture = upload(rows)
 
 
 class Picture:

@@ -17,7 +17,7 @@ from ...fastgs_blender.rendering.passes import PASSES
 from ...scene import colour, holdout, lamps, objects, proxies, shadows, sky, snapshot, world
 from .. import compiling, passes
 from . import fallback, frusta, meshes, overlays, shaders
-from .atlas import Atlas
+from .atlas import MOST_BYTES, Atlas
 from .camera_frame import border, passepartout, picture
 from .eye import eye
 from .fallback import DataPass
@@ -237,6 +237,10 @@ class Viewports:
     def memory(self) -> int:
         """Bytes that viewports hold on the GPU."""
         return self.atlas.nbytes + sum(view.picture.nbytes for view in self.views.values())
+
+    def most_memory(self) -> int:
+        """Bytes that they hold there at most: with as many Gaussians as textures take, in windows of this size."""
+        return self.memory() - self.atlas.nbytes + MOST_BYTES
 
     def timed(self) -> list[str]:
         """Of each viewport that shows splats: how long the stages of its picture take, as lines of text."""

@@ -33,14 +33,6 @@ def rows_of(texels: int) -> int:
     return max(-(-texels // WIDTH), 1)
 
 
-def upload_list(values: np.ndarray, width: int):
-    """A texture of a list [n], or [n, c], `width` entries in a row."""
-    values = values.reshape(len(values), -1) if len(values) else np.zeros((0, 1))
-    padded = np.zeros((max(-(-len(values) // width), 1) * width, values.shape[1]), np.float32)
-    padded[:len(values)] = values
-    return upload(padded.reshape(-1, width, values.shape[1]))
-
-
 def read(framebuffer, width: int, height: int, slot: int = 0) -> np.ndarray:
     """float32 [h, w, 4] of a framebuffer's colour, the bottom row first."""
     buffer = framebuffer.read_color(0, 0, width, height, 4, slot, 'FLOAT')

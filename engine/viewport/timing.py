@@ -38,7 +38,7 @@ def measure(snapshot: Snapshot, camera: fg.Camera, runs: int = 5) -> dict[str, f
             atlas.clear()
             atlas.hold([instance.model for instance in answer.instances])
             clock.lap("models to the GPU", finish=True)
-            order = Order(answer.order)
+            order = Order(answer.order, answer.count)
             clock.lap("order to the GPU", finish=True)
             viewed = [instance.viewed(camera) for instance in answer.instances]
             picture.draw(camera, viewed, atlas, order, deep=True)

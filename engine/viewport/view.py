@@ -74,6 +74,7 @@ class View:
         self._answer: sorting.Sorted | None = None
         self._order: tuple[sorting.Sorted, Order] | None = None
         self._asked = self._seen = None
+        self._standing: dict = {}
         self._depth: tuple[tuple, SceneDepth | None] | None = None
         self._last: tuple[Snapshot, fg.Camera] | None = None
         self._moved = 0.0
@@ -184,6 +185,7 @@ class View:
         self.worker.forget(self)
         self.picture.free()
         self.fallback.free()
+        self._standing = {}
         self._answer = self._order = self._asked = self._depth = self._last = self._whole = self._fading = self._data = None
 
     def _ask(self, snapshot, camera, display, key, wait):
@@ -195,7 +197,7 @@ class View:
             eye = fallback.coarse(camera) if self._rough else camera
             work = lambda: fallback.render(snapshot, eye, display.working, display.background, data)  # noqa: E731
         else:
-            work = lambda: sorting.sort(snapshot, camera, density, self.atlas)  # noqa: E731
+            work = lambda: sorting.sort(snapshot, camera, density, self.atlas, self._standing)  # noqa: E731
         if wait:
             self.done(work())
         else:
@@ -210,7 +212,7 @@ class View:
         self._rough = bool(around and around.surfaces and not each)
         share = self._share(answer.share >= 1 and not self._rough, at_once)
         if self._order is None or self._order[0] is not answer:
-            self._order = answer, Order(answer.order)
+            self._order = answer, Order(answer.order, answer.count)
         pairs, missing = snapshot.pairs(_known(answer.models), read=False)
         instances, gone = _as_sorted(pairs, {name for name, _ in missing}, answer)
         if instances:

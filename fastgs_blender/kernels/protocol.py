@@ -113,11 +113,11 @@ class PictureBackend(Protocol):
         rows     [M] those that are asked for, for [M, 3]; None: all
         """
 
-    def front_to_back(self, instances: list[ViewedInstance], camera: Camera, limit: float = 1.0,
-                      ranks: Callable[[GaussianModel], np.ndarray] | None = None) -> np.ndarray:
-        """Indices [V] int32 of the Gaussians that can be seen, the nearest first; see rendering.visibility.order().
+    def front_to_back(self, instances: list[ViewedInstance], camera: Camera, share: float = 1.0,
+                      standing: dict | None = None) -> np.ndarray:
+        """Indices [V] int32 of the Gaussians that can be seen, or of a share of them, the nearest first; see rendering.visibility.order().
 
-        limit, ranks  ranks(model) gives [N] float32; Gaussians whose rank is not under the limit are left out as well
+        standing  may keep what it found of the instances for the next call
         """
 
 

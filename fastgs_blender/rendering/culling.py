@@ -8,17 +8,40 @@ from .crops import crop_share
 from .instances import ViewedInstance
 from .looks import Look, size_factor
 
+SAMPLE = 1 << 15
+"""About how many splats say what weight the heaviest share of all has."""
+JITTER = 1 << 20
+"""What the weights' bits are spread by, an eighth of their value: of many equal splats a share is drawn, too, each time the same."""
 
-def order_in_numpy(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, ranks=None) -> np.ndarray:
-    """visibility.order() in NumPy."""
-    keys, index, done = [np.zeros(0, np.float32)], [np.zeros(0, np.int32)], 0
+
+def order_in_numpy(instances: list[ViewedInstance], camera: Camera, share: float = 1.0, standing: dict | None = None) -> np.ndarray:
+    """visibility.order() in NumPy; it keeps nothing."""
+    found, done = [(np.zeros(0, np.float32), np.zeros(0, np.int32), np.zeros(0, np.float32))], 0
     for instance in instances:
         if len(instance.model) and instance.in_range:
-            depth, found = _visible(instance, camera, ranks(instance.model) < limit if limit < 1 else True)
-            keys.append(depth)
-            index.append((done + found).astype(np.int32))
+            depth, at, weight = _visible(instance, camera)
+            found.append((depth, (done + at).astype(np.int32), weight))
         done += len(instance.model)
-    return np.concatenate(index)[np.argsort(np.concatenate(keys), kind="stable")]
+    depth, index, weight = (np.concatenate(each) for each in zip(*found))
+    if share >= 1:
+        return index[np.argsort(depth, kind="stable")]
+    kept = heaviest(weight, index, share)
+    return index[kept][np.argsort(coarse_depths(depth[kept]), kind="stable")]
+
+
+def heaviest(weight: np.ndarray, index: np.ndarray, share: float) -> np.ndarray:
+    """Which of the splats of these weights [V] float32 belong to the heaviest share of them: [V] bool."""
+    spread = index.view(np.uint32) * np.uint32(2654435769) >> np.uint32(12)  # below JITTER, unlike for neighbours
+    bits = weight.view(np.uint32) + spread
+    sample = bits[::len(bits) // SAMPLE + 1]
+    least = int((1 - share) * len(sample))
+    return bits > np.partition(sample, least)[least] if len(bits) else np.zeros(0, bool)
+
+
+def coarse_depths(depth: np.ndarray) -> np.ndarray:
+    """Depths [V] float32 >= 0 as whole numbers of 16 bits that ascend with them: uint32."""
+    bits = depth.view(np.uint32) - depth.view(np.uint32).min(initial=2**32 - 1)
+    return bits >> np.uint32(max(int(bits.max(initial=0)).bit_length() - 16, 0))
 
 
 def spread(camera: Camera) -> tuple[float, float]:
@@ -34,13 +57,14 @@ def scale_bound(matrix: np.ndarray) -> float:
     return float(np.linalg.norm(matrix, 2))
 
 
-def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarray, np.ndarray]:
-    """Depths [V] float32 and indices [V] of an instance's Gaussians that can be seen, and are wanted ([N] bool or True)."""
+def _visible(instance: ViewedInstance, camera: Camera) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """Of an instance's Gaussians that can be seen the depths [V] float32, the indices [V], and how much they weigh in the picture [V]
+    float32: opacity times area in pixels, squared."""
     model, raster = instance.model, instance.model.raster
     with np.errstate(all="ignore"):
         sigma = sigmoid(model.opacity) * instance.look[Look.OPACITY] * model.temporal_kind.factor(instance.t, model.mu_tau, model.temporal)
         kept = 1 + np.exp(-model.opacity.astype(np.float64)) <= instance.look[Look.FAINTEST]
-        kept &= (sigma >= raster.alpha_cut) & instance.in_ball(model.position) & wanted
+        kept &= (sigma >= raster.alpha_cut) & instance.in_ball(model.position)
         if len(instance.hidden):
             kept &= ~instance.hidden
         at = np.flatnonzero(kept)
@@ -50,12 +74,15 @@ def _visible(instance: ViewedInstance, camera: Camera, wanted) -> tuple[np.ndarr
         z = p[:, 2]
         per_depth = np.ones_like(z) if camera.orthographic else 1 / z
         centre = p[:, :2] * (camera.fx, camera.fy) * per_depth[:, None] + (camera.cx, camera.cy)
-        size = np.exp(model.scale[at].max(1).astype(np.float64))
-        size *= size_factor(size, instance.look) * per_depth * scale_bound(to_camera[:3, :3])
+        _, middle, size = np.exp(np.sort(model.scale[at].astype(np.float64), 1)).T
+        factor = size_factor(size, instance.look) * per_depth * scale_bound(to_camera[:3, :3])
+        middle, size = middle * factor, size * factor
         strength = sigma[at] * crop_share(instance.settings.crops, position)
         reach = 2 * np.log(strength / raster.alpha_cut)
         blur = instance.sampling.most_blur(raster.blur, position, np.ones_like(z) if camera.orthographic else z)
         radius = np.sqrt(reach[:, None] * ((size[:, None] * spread(camera)) ** 2 + blur[:, None]))
         seen = (z > instance.near) & (z <= instance.far) & (strength >= raster.alpha_cut)
         seen &= ((centre + radius >= 0) & (centre - radius <= (camera.width, camera.height))).all(1)
-    return z[seen].astype(np.float32), at[seen]
+        focal = abs(camera.fx * camera.fy)
+        weight = strength**2 * (size**2 * focal + raster.blur) * (middle**2 * focal + raster.blur)
+        return z[seen].astype(np.float32), at[seen], weight[seen].astype(np.float32)

@@ -9,14 +9,17 @@ from .crops import crop_share
 from .instances import ViewedInstance
 
 
-def order(instances: list[ViewedInstance], camera: Camera, limit: float = 1.0, ranks=None, backend: str = "auto") -> np.ndarray:
+def order(instances: list[ViewedInstance], camera: Camera, share: float = 1.0, backend: str = "auto",
+          standing: dict | None = None) -> np.ndarray:
     """Indices [V] int32 of the Gaussians that a camera shows, the nearest first, counted through all instances in their order.
 
     Left out is what cannot touch a pixel: by temporal opacity, before the near plane, off the picture, cropped.
-    limit, ranks   ranks(model) gives [N] float32; Gaussians whose rank is not under the limit are left out as well (1: none is)
-    backend        "cpu" (numba, all threads), "reference" (NumPy), "auto"; all give the same
+    share     of these, for a picture in a hurry: about so many of them, those with the most opacity times area in the picture, by depths
+              of 16 bits.  1: all of them, exactly
+    backend   "cpu" (numba, all threads), "reference" (NumPy), "auto"; all give the same
+    standing  from one such picture to the next: what no move of the camera changes is kept in it, for these instances
     """
-    return load_backend(backend).front_to_back(instances, camera, limit, ranks)
+    return load_backend(backend).front_to_back(instances, camera, share, standing)
 
 
 def crop_shares(instances: list[ViewedInstance], order: np.ndarray) -> np.ndarray | None:

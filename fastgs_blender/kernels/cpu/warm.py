@@ -11,7 +11,6 @@ from ...cameras.camera import Camera
 from ...model.appearance import RGB, Features
 from ...model.gaussians import GaussianModel
 from ...rendering.api import render
-from ...rendering.importance import importance_rank
 from ...rendering.instances import Instance, ObjectSettings
 from ...rendering.lamps import Lamp
 from ...rendering.passes import PassSettings
@@ -47,7 +46,6 @@ def compile_all(progress: Callable[[float], None] = lambda fraction: None) -> No
     look = ObjectSettings(lamp_light=1.0, shadows=1.0)
     for model in models:
         render([Instance(model, np.eye(4), 0.0, look)], camera, backend="cpu", settings=PassSettings(light=sun))
-    order([instance], camera, 0.5, importance_rank)
     light([instance], camera).over(np.ones((16, 16, 1), np.float32))
     cache.mark(cache.COMPLETE)
 

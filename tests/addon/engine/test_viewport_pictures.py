@@ -75,7 +75,8 @@ def drawn(module, gpu_scene):
         textures.hold([part.model for part in parts])
 
         def resolve(framebuffer):
-            shown.draw(camera, parts, textures, picture.Order(listed(parts, keep(order(parts, camera)))), depth)
+            kept = keep(order(parts, camera))
+            shown.draw(camera, parts, textures, picture.Order(listed(parts, kept), len(kept)), depth)
             shown.resolve(np.eye(3), **look)
 
         return draw_offscreen(camera.width, camera.height, resolve)

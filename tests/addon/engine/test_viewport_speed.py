@@ -186,7 +186,7 @@ def test_scrubbing_draws_fewer_splats(window, two, still, view):
 def test_a_still_picture_fades_in(parts, window, two, still, view, drawn, surfaces):
     """From the picture of the moving view to that of the still one in steps of a few percent, and nothing is blended for them."""
     whole = window(two, at=1.0, wall=4.0, surfaces=surfaces)
-    options = dict(at=1.0, density=0.1, wall=4.0, state=1, surfaces=surfaces)
+    options = dict(at=1.0, density=0.02, wall=4.0, state=1, surfaces=surfaces)
     window(two, **options)
     coarse = window(two, **options)
     assert np.abs(coarse - whole).mean() > 0.01

@@ -124,7 +124,7 @@ def test_viewports_ask_for_another_order_when_a_box_moves(obj, module):
     def now():
         depsgraph = bpy.context.evaluated_depsgraph_get()
         now = snapshot.take(depsgraph)
-        return now.state, len(sorting.sort(now, camera, 1.0, atlas.Atlas()).order)
+        return now.state, sorting.sort(now, camera, 1.0, atlas.Atlas()).count
 
     whole, count = now()
     assert count == 10

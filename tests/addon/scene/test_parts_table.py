@@ -165,7 +165,7 @@ def test_viewports(pair, module, now, scene):
     sorting, atlas = module("engine.viewport.sorting"), module("engine.viewport.atlas")
     shown = module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get(), rendered=False)
     found = sorting.sort(shown, now(scene.camera), 1.0, atlas.Atlas())
-    assert sorted(len(instance.model) for instance in found.instances) == [20, 60] and len(found.order) == N
+    assert sorted(len(instance.model) for instance in found.instances) == [20, 60] and found.count == N
 
 
 def test_other_engines(pair):

@@ -8,7 +8,7 @@ from random_cameras import hostile_scales, random_camera
 from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import sort
+from fastgs_blender.kernels.cpu import sort, visible
 from fastgs_blender.rendering import importance, visibility
 from fastgs_blender.rendering.instances import Instance
 
@@ -66,18 +66,63 @@ def test_most_of_what_is_not_seen_is_left_out():
     assert inside.sum() * 0.5 < len(order) < inside.sum() * 1.2
 
 
-def test_ranks_leave_out_the_least_important():
-    model = random_model(np.random.default_rng(2), 400, size=0.05)
-    model.opacity[:] = 2
+@pytest.mark.parametrize("share", [0.8, 0.5, 0.2])
+def test_a_share_is_what_counts_most_in_the_picture(share):
+    """The nearest and most opaque of equal splats; and the picture is better than with those that are largest wherever one stands."""
+    model = random_model(np.random.default_rng(2), 4000, size=0.05)
     pose = np.eye(4)
-    pose[2, 3] = 5
-    camera = fg.Camera(64, 64, 40, 40, 32, 32, pose)
+    pose[2, 3] = 2.5
+    camera = fg.Camera(64, 64, 60, 60, 32, 32, pose)
     part = Instance(model, np.eye(4), 0.0).viewed(camera)
-    whole, half = visibility.order([part], camera), visibility.order([part], camera, 0.5, importance.importance_rank)
-    assert len(half) == 200 and len(whole) == 400
-    area = np.sort(model.scale, 1)[:, 1:].sum(1)
-    assert area[half].min() >= np.delete(area, half).max()
-    np.testing.assert_array_equal(half, whole[np.isin(whole, half)])
+    whole = visibility.order([part], camera)
+    orders = [visibility.order([part], camera, share, backend) for backend in ("cpu", "reference")]
+    rank = importance.importance_rank(model)[whole]
+    static = whole[rank <= np.quantile(rank, share)]
+    exact = fg.render(model, camera)["rgb"]
+    errors = [np.mean((fg.render(model.take(np.sort(order)), camera)["rgb"] - exact) ** 2) for order in (*orders, static)]
+    for order, error in zip(orders, errors):
+        assert abs(len(order) - share * len(whole)) < 0.03 * len(whole) and error < 0.7 * errors[2]
+        depth = model.position[order, 2] + 2.5
+        assert np.diff(depth).min() > -1e-3, "sorted by 16 bits"
+    assert len(np.setxor1d(*orders)) < 0.02 * len(whole)
+
+
+def test_of_equal_splats_a_share_is_drawn_and_always_the_same():
+    n = 5000
+    position = np.stack([*np.random.default_rng(0).uniform(-0.4, 0.4, (2, n)), np.full(n, 2.0)], 1)
+    model = fg.GaussianModel(position=position, rotation=np.tile([1.0, 0, 0, 0], (n, 1)), scale=np.full((n, 3), -5.0), opacity=np.ones(n),
+                             features=np.ones((n, 3)))
+    cameras = [fg.Camera(64, 64, 40 + 20 * k, 40 + 20 * k, 32, 32, np.eye(4)) for k in range(2)]
+    few, same = (visibility.order([Instance(model, np.eye(4), 0.0).viewed(camera)], camera, 0.25) for camera in cameras)
+    assert 0.15 * n < len(few) < 0.3 * n and abs(position[few, 0].mean()) < 0.05
+    np.testing.assert_array_equal(np.sort(few), np.sort(same))
+
+
+@pytest.mark.parametrize(("basis", "temporal"), [("paper", "radial"), ("static", "always")])
+def test_what_no_move_of_the_camera_changes_is_kept(basis, temporal, monkeypatch):
+    """The same orders with and without it, of objects with a look, a crop and filters; a new time, or a new look, begins anew."""
+    rng = np.random.default_rng(5)
+    models = [random_model(rng, 3000, basis, "static", temporal, size=0.03) for _ in range(2)]
+    placement = np.diag([2.0, 2, 2, 1])
+    looks = [fg.ObjectSettings(splat_scale=1.5, crops=(fg.Crop(np.diag([0.5, 0.5, 0.5, 1]), soft=0.3),)), fg.ObjectSettings(density=0.5)]
+    standing, made, stand = {}, [], visible._stand
+    monkeypatch.setattr(visible, "_stand", lambda instance: made.append(instance) or stand(instance))
+
+    def orders(distance, t=0.4, looks=looks):
+        pose = np.eye(4)
+        pose[:3, 3] = 0.2 * distance, 0, distance
+        camera = fg.Camera(80, 64, 70, 70, 40, 32, pose)
+        parts = [Instance(model, placement, t, look).viewed(camera) for model, look in zip(models, looks)]
+        made.clear()
+        kept = visibility.order(parts, camera, 0.6, standing=standing), len(made)
+        exact = visibility.order(parts, camera)
+        np.testing.assert_array_equal(kept[0], visibility.order(parts, camera, 0.6))
+        assert np.isin(kept[0], exact).mean() > 0.95, "but for some at the borders of a small picture"
+        return kept[1]
+
+    assert [orders(3.0), orders(3.5), orders(2.5)] == [2, 0, 0]
+    assert orders(2.5, t=0.6) == 2 and len(standing) == 2
+    assert orders(2.5, t=0.6, looks=[looks[0], fg.ObjectSettings(density=0.4)]) == 1
 
 
 @pytest.mark.parametrize("values", [[], [3.0], [2.0, 2.0, 2.0], [0.0, 1e-30, 1e30, 1.0]])
