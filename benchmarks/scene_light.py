@@ -73,9 +73,9 @@ def main():
     fg.render(model, camera, T)
     print(f"{len(model):,} Gaussians, {width} x {height}: cost in plain frames")
     lit = [Instance(model, np.eye(4), T, LIT)]
-    found = {name: ({"model": lit, "settings": PassSettings(light=SceneLight(((lamp, None),), meshes))}, most)
+    found = {name: ({"model": lit, "settings": PassSettings(light=SceneLight((lamp,), meshes))}, most)
              for name, (lamp, most) in lamps.items()}
-    found["lamps in the scene that light no object"] = {"settings": PassSettings(light=SceneLight(((Lamp(sun, np.ones(3)), None),)))}, 1
+    found["lamps in the scene that light no object"] = {"settings": PassSettings(light=SceneLight((Lamp(sun, np.ones(3)),)))}, 1
     for name, (options, most) in found.items():
         ratio = cost(model, camera, options, args.runs)
         print(f"{name:44} {ratio:6.2f}" + (f"   {ratio / most:.0%} of what it may cost" if most else ""), flush=True)

@@ -62,12 +62,19 @@ def lets_light_through(obj) -> bool:
 
 
 def triangles(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_camera") -> np.ndarray | None:
-    """The triangles [F, 3, 3] float32 of the scene's surfaces as the depsgraph has evaluated them, instances included; None without any.
+    """The triangles [F, 3, 3] float32 of surfaces(); None without any."""
+    found = [each for _, _, each in surfaces(depsgraph, wanted, ray)]
+    return np.concatenate(found) if found else None
+
+
+def surfaces(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_camera"):
+    """Yields (an object, what makes the instance or the object itself, triangles [F, 3, 3] float32 in the world) for each of the scene's
+    surfaces as the depsgraph has evaluated them, instances included.
 
     wanted(obj, maker) is asked about each object that has a surface; maker makes the instance, or is the object itself.
     ray  the rays that must see it: the property of Ray Visibility
     """
-    aside, local, found = helpers(depsgraph.scene), {}, []
+    aside, local = helpers(depsgraph.scene), {}
     for instance in depsgraph.object_instances:
         obj = instance.object
         maker = instance.parent if instance.is_instance else obj
@@ -83,8 +90,7 @@ def triangles(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_cam
         key = obj.data.as_pointer()
         if key not in local:
             local[key] = own_triangles(obj)
-        found.append((local[key] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32))
-    return np.concatenate(found) if found else None
+        yield obj, maker, (local[key] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
 
 
 def own_triangles(obj) -> np.ndarray:

@@ -8,6 +8,7 @@ from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama
 from ..fastgs_blender.rendering.passes import LAMPS
 from ..fastgs_blender.rendering.relight import SceneLight
 from . import colour, holdout, objects, shadows, sky, world
+from .light_linking import Links
 
 AROUND = 512
 """Pixels around of the panorama from which a world's light is taken."""
@@ -50,10 +51,9 @@ def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.P
     passes  whether passes want to know it, whatever the objects take
     around  the panorama of world_of(); without it such a world has its plain colour
     """
-    splats = _splats(depsgraph)
-    if not passes and not any(takes_light(obj) for obj in splats):
+    if not passes and not any(takes_light(obj) for obj in _splats(depsgraph)):
         return None
-    scene, names = depsgraph.scene.fastgs.splats_scene or depsgraph.scene, [obj.name for obj in splats]
+    scene = depsgraph.scene.fastgs.splats_scene or depsgraph.scene
     from_working = np.linalg.inv(colour.rec709_to_working())
     found, levels, numbers = [], [], names_of(scene)
     for instance in depsgraph.object_instances:
@@ -61,7 +61,7 @@ def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.P
         if obj.type == 'LIGHT' and instance.show_self and not obj.hide_render:
             lamp = lamp_of(obj, np.array(instance.matrix_world, np.float64), scene.fastgs.shadow_samples, from_working)
             if lamp is not None:
-                found.append((lamp, _lit_by(obj.original, names)))
+                found.append(lamp)
                 levels.append(numbers.index(obj.name_full) if obj.name_full in numbers else LAMPS)
     directions = max(scene.fastgs.shadow_samples, 16)
     radiance, _ = world.surface(scene, depsgraph.view_layer)
@@ -69,16 +69,25 @@ def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.P
     if around is not None:
         shining = panorama(around.reduced(AROUND) @ from_working.T, directions)
     if shining is not None:
-        found.append((shining, None))
+        found.append(shining)
         levels.append(len(numbers))
-    meshes = holdout.triangles(depsgraph, _casts_shadows, "visible_shadow")
-    settings = scene.fastgs
+    settings, (meshes, clear) = scene.fastgs, _meshes(depsgraph)
     return SceneLight(tuple(found), meshes, settings.shadow_bias, size, tuple(min(level, LAMPS - 1) for level in levels),
-                      settings.contact_distance)
+                      settings.contact_distance, clear)
 
 
 def _splats(depsgraph) -> list:
     return [obj for obj in depsgraph.objects if objects.is_splat(obj)]
+
+
+def _meshes(depsgraph) -> tuple[np.ndarray | None, dict[str, np.ndarray]]:
+    """(the triangles [F, 3, 3] that throw shadows on splats, or None; by the names of lamps, which of them let their light through)."""
+    found = list(holdout.surfaces(depsgraph, _casts_shadows, "visible_shadow"))
+    links = Links(depsgraph.scene)
+    passed = [(len(triangles), links.clear_to(obj, maker)) for obj, maker, triangles in found]
+    clear = {lamp: np.repeat([lamp in lamps for _, lamps in passed], [count for count, _ in passed])
+             for lamp in frozenset().union(*(lamps for _, lamps in passed))}
+    return (np.concatenate([triangles for _, _, triangles in found]) if found else None), clear
 
 
 def _casts_shadows(obj, maker) -> bool:
@@ -93,38 +102,29 @@ def takes_light(obj) -> bool:
 
 
 def lamp_of(obj, matrix: np.ndarray, samples: int, from_working: np.ndarray) -> Lamp | None:
-    """The library's lamp for an evaluated light object at a place [4, 4], None where it sends nothing.
+    """The library's lamp for an evaluated light object at a place [4, 4], None where it sends nothing to diffuse surfaces.
 
     from_working  [3, 3] from the scene's primaries to Rec.709
     """
     data = obj.data
-    power = data.energy * 2.0 ** getattr(data, "exposure", 0.0) * (from_working @ _tint(data))
-    if not (np.isfinite(matrix).all() and np.isfinite(power).all() and power.any()):
+    power = data.energy * 2.0 ** getattr(data, "exposure", 0.0) * (from_working @ (_tint(data) * world.emission(data)))
+    portal = data.type == 'AREA' and getattr(getattr(data, "cycles", None), "is_portal", False)
+    if portal or not obj.visible_diffuse or not (np.isfinite(matrix).all() and np.isfinite(power).all() and power.any()):
         return None
     axes = matrix[:3, :3] / np.maximum(np.linalg.norm(matrix[:3, :3], axis=0), 1e-30)
-    light = shadows.light_of(data, matrix, samples)
+    light, name = shadows.light_of(data, matrix, samples), obj.name_full
+    if not getattr(data, "normalize", True):  # Blender 5: watts of each square metre, or radiance of the sun's disc
+        power *= shadows.area_of(data, matrix)
     if data.type == 'SUN':
-        return Lamp(light, power)
+        return Lamp(light, power / max((light.points @ axes[:, 2]).mean(), 1e-6), name=name)
     if data.type == 'AREA':
-        return Lamp(light, power / np.pi, -axes[:, 2], flat(data.spread))
-    return Lamp(light, power / (4 * np.pi), -axes[:, 2], cone(data.spot_size, data.spot_blend) if data.type == 'SPOT' else None)
+        return Lamp(light, power / np.pi, -axes[:, 2], flat(data.spread), name=name)
+    soft = data.shadow_soft_size if data.use_soft_falloff else 0.0
+    beam = cone(data.spot_size, data.spot_blend) if data.type == 'SPOT' else None
+    return Lamp(light, power / (4 * np.pi), -axes[:, 2], beam, soft, name)
 
 
 def _tint(data) -> np.ndarray:
     """The colour [3] of a light, its temperature included."""
     tint = np.array(data.color[:3], np.float64)
     return tint * np.array(data.temperature_color[:3]) if getattr(data, "use_temperature", False) else tint
-
-
-def _lit_by(lamp, names: list[str]) -> frozenset[str] | None:
-    """Which of the named splat objects a lamp lights, by its light linking; None: all."""
-    linking = getattr(lamp, "light_linking", None)
-    receivers = linking.receiver_collection if linking else None
-    if receivers is None:
-        return None
-    states = {}
-    for child, how in zip(receivers.children, receivers.collection_children):
-        states |= {obj.name: how.light_linking.link_state for obj in child.all_objects}
-    states |= {obj.name: how.light_linking.link_state for obj, how in zip(receivers.objects, receivers.collection_objects)}
-    some = 'INCLUDE' in states.values()
-    return frozenset(name for name in names if states.get(name, 'EXCLUDE' if some else 'INCLUDE') == 'INCLUDE')

@@ -11,6 +11,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.filters import Filter
 from ..fastgs_blender.rendering.instances import LIMIT, LOOKS, Instance, ObjectSettings
 from . import crops, devices, model_space, objects, parts, point_edits, speeds
+from .light_linking import Links
 from .time import Retime, shown_frames
 
 SELECTED = ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.52, 0.04), mark=1)
@@ -141,7 +142,7 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
     rendered      whether it is for a render, from which *Ray Visibility > Camera* leaves objects and what they instance out
     final         whether it is for a final picture, or a file, and not for a viewport; None: by the depsgraph
     """
-    found, seen = [], set()
+    found, seen, links = [], set(), Links(depsgraph.scene)
     final = depsgraph.mode == 'RENDER' if final is None else final
     for instance in depsgraph.object_instances:
         obj = instance.object
@@ -157,7 +158,9 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
         if key not in seen:
             seen.add(key)
             place = obj.name_full, *((instance.parent.name_full, *instance.persistent_id) if instance.is_instance else ())
-            found.append(replace(instance_of(obj, depsgraph, placement, final, maker), place=place, **_picked(obj)))
+            shown = instance_of(obj, depsgraph, placement, final, maker)
+            linked = replace(shown.settings, unlit_by=links.unlit_by(obj, maker), clear_to=links.clear_to(obj, maker))
+            found.append(replace(shown, place=place, settings=linked, **_picked(obj)))
     return Snapshot(found, *clock(depsgraph.scene), devices.wanted(depsgraph.scene))
 
 

@@ -33,6 +33,16 @@ def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.Wo
     return tuple(c * strength for c in colour[:3]), None if plain and also_plain else world
 
 
+def emission(data) -> tuple[float, float, float]:
+    """The factor [3] that the nodes of a light make of its colour: plain colours and strengths count."""
+    output = data.node_tree.get_output_node('ALL') if data.use_nodes and data.node_tree else None
+    link = _source(output.inputs["Surface"]) if output else None
+    if link is None or link.from_node.bl_idname != 'ShaderNodeEmission':
+        return (1.0, 1.0, 1.0)
+    (colour, _), (strength, _) = (_value(link.from_node.inputs[name]) for name in ("Color", "Strength"))
+    return tuple(c * strength for c in colour[:3])
+
+
 def _source(socket):
     """The link that feeds a socket, seen through reroutes; None where nothing does."""
     while socket.is_linked:

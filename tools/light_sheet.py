@@ -48,7 +48,7 @@ def main():
     surface = np.concatenate([mesh.vertices[mesh.quads[:, list(corners)]] for corners in ((0, 1, 2), (0, 2, 3))])
     towards = np.array([-1.0, 1.3, -1.6]) / np.linalg.norm([-1.0, 1.3, -1.6])
     lamp = Lamp(Light.rectangle(np.array([1.6, -1.8, 2.4]), (0.2, 0, 0), (0, 0.2, 0), 16), np.array([9.0, 8.0, 6.5]), towards, flat())
-    settings = fg.PassSettings(light=SceneLight(((lamp, None),), ball(), bias=0.02))
+    settings = fg.PassSettings(light=SceneLight((lamp,), ball(), bias=0.02))
     pictures = {"captured": fg.render(model, camera, T)["rgb"]}
     for name, settings_of in (("a lamp on captured colours", dict(captured_light=0.25, lamp_light=1.0, shadows=0.9)),
                       ("a lamp on unlit colours", dict(captured_light=0.25, lamp_light=1.0, shadows=0.9, unlit=1.0))):

@@ -61,6 +61,7 @@ class ObjectSettings:
     antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
     casts     whether its splats throw shadows
+    unlit_by, clear_to  the names of lamps that do not light it, and of those whose light it lets through (Lamp.name)
     mark      1 or -1: viewports show the instance as a mark on those Gaussians of its object, blended together with it; else 0
 
     Example:
@@ -104,6 +105,8 @@ class ObjectSettings:
     antialias: bool = True
     bends: bool = True
     casts: bool = True
+    unlit_by: frozenset[str] = frozenset()
+    clear_to: frozenset[str] = frozenset()
     mark: int = 0
 
     def __post_init__(self) -> None:

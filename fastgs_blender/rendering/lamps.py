@@ -27,6 +27,8 @@ class Lamp:
             axis; each point has this colour, or its own, and the lamp is their mean
     axis    unit vector [3] in the world along which it shines; None: it shines alike to all sides
     beam    how it fades away from the axis
+    soft    radius within which it gets no brighter (Cycles' soft falloff)
+    name    by which ObjectSettings and SceneLight know what it does not light, and what its light passes
 
     Raises FastGSError for colours that are not finite, or not one for all points or one each.
     """
@@ -35,6 +37,8 @@ class Lamp:
     colour: np.ndarray
     axis: np.ndarray | None = None
     beam: Beam | None = None
+    soft: float = 0.0
+    name: str = ""
 
     def __post_init__(self) -> None:
         colour = np.asarray(self.colour, np.float64)
@@ -50,7 +54,7 @@ class Lamp:
         x, y, z = (at - axis for at, axis in zip(place, position, strict=True))  # sums of three long rows: NumPy's own take far longer
         square = np.maximum(x * x + y * y + z * z, 1e-12)
         length = np.sqrt(square)
-        share = np.maximum(normal[0] * x + normal[1] * y + normal[2] * z, 0) / (square * length)
+        share = np.maximum(normal[0] * x + normal[1] * y + normal[2] * z, 0) / ((square + self.soft**2) * length)
         if self.beam is not None and self.axis is not None:
             share *= self.beam(-(self.axis[0] * x + self.axis[1] * y + self.axis[2] * z) / length)
         return share

@@ -15,8 +15,8 @@ backend, pass and exposure has it, and nothing is random.  Shadows are looked up
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
 
@@ -26,7 +26,7 @@ from ..cameras.camera import Camera
 from .contact import contact
 from .exposure import PLASTIC
 from .holdout import as_triangles
-from .instances import Instance, ViewedInstance
+from .instances import Instance, ObjectSettings, ViewedInstance
 from .lamps import Lamp
 from .normals import smooth_normals
 from .painting import painted
@@ -48,20 +48,22 @@ SPREAD = 4
 class SceneLight:
     """What lights splats.
 
-    lamps   of the scene, each with the names of the instances that it lights; None: all
+    lamps   of the scene
     meshes  triangles [F, 3, 3] in the world that cast shadows on splats, or None
     bias    how near to a surface nothing casts shadows on it, in units of the world
     size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; a point with little of its light has fewer
     levels  the number of each lamp's passes, from 0; lamps may share one.  Empty: they are numbered in their order
+    clear   by the names of lamps, which of the meshes' triangles let their light through: masks [F]
     reach   distance from meshes up to which they take light from all around, for the pass of contact occlusion
     """
 
-    lamps: tuple[tuple[Lamp, frozenset[str] | None], ...]
+    lamps: tuple[Lamp, ...]
     meshes: np.ndarray | None = None
     bias: float = 0.02
     size: int = 1024
     levels: tuple[int, ...] = ()
     reach: float = 0.3
+    clear: Mapping[str, np.ndarray] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lamps", tuple(self.lamps))
@@ -103,9 +105,9 @@ class SceneLight:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
         total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
-        ways = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp, _ in self.lamps) == 1)
-        for number, (lamp, lights) in enumerate(self.lamps):
-            count, among = len(lamp.light.points), spots.among(lights)
+        scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1)
+        for number, lamp in enumerate(self.lamps):
+            count, among, ways = len(lamp.light.points), spots.lit_by(lamp.name), scene.of_lamp(lamp.name, self.clear.get(lamp.name))
             shares = np.stack([lamp.share(k, spots.position, spots.normal) * among for k in range(count)]) / count
             rows = np.flatnonzero(shares.any(0))
             shares, lit = shares[:, rows], spots.part(rows)
@@ -136,19 +138,22 @@ class _Spots:
 
     position, normal  [3, P] in the world; unit normals, turned to the camera, smooth (normals.py)
     axes              [3, 3, P] as columns, each as long as its standard deviation
-    names             [P] of their instances
+    owner             [P] which of the settings are theirs
+    settings          ObjectSettings of the instances
     """
 
     position: np.ndarray
     normal: np.ndarray
     axes: np.ndarray
-    names: np.ndarray
+    owner: np.ndarray
+    settings: tuple[ObjectSettings, ...]
 
     @classmethod
     def of(cls, surfaces: list[_Surface]) -> _Spots:
         """The Gaussians of all surfaces."""
         position, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces], -1) for name in ("position", "normal", "axes"))
-        return cls(position, normal, axes, np.repeat([each.instance.name for each in surfaces], [len(each.index) for each in surfaces]))
+        owner = np.repeat(np.arange(len(surfaces)), [len(each.index) for each in surfaces])
+        return cls(position, normal, axes, owner, tuple(each.instance.settings for each in surfaces))
 
     def __len__(self) -> int:
         return self.position.shape[1]
@@ -157,11 +162,11 @@ class _Spots:
         """Some of the spots."""
         if len(rows) == len(self):
             return self
-        return _Spots(*(array[..., rows] for array in (self.position, self.normal, self.axes, self.names)))
+        return _Spots(self.position[:, rows], self.normal[:, rows], self.axes[..., rows], self.owner[rows], self.settings)
 
-    def among(self, names: frozenset[str] | None) -> np.ndarray | bool:
-        """Which spots are of instances with these names [P] bool; None: all."""
-        return True if names is None else np.isin(self.names, list(names))
+    def lit_by(self, lamp: str) -> np.ndarray:
+        """Which spots a lamp of that name lights [P] bool."""
+        return np.array([lamp not in each.unlit_by for each in self.settings])[self.owner]
 
     @cached_property
     def _squares(self) -> np.ndarray:

@@ -78,12 +78,14 @@ class Shadow:
     meshes  triangles [F, 3, 3] in the world, on which shadows fall
     bias    how near to a surface splats cast no shadow on it, in units of the world: captured ground often lies within a mesh's own
     size    pixels of the longer side of the pictures from the light
+    lamp    the name of the lamp, by which instances know that they let its light through (ObjectSettings.clear_to)
     """
 
     light: Light
     meshes: np.ndarray
     bias: float = 0.0
     size: int = 1024
+    lamp: str = ""
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "meshes", as_triangles(self.meshes))
@@ -98,7 +100,7 @@ class Shadow:
         if not seen.any() or not instances:
             return out
         points = camera.points(np.where(seen, depth, 1))[seen].T
-        ways, total = Ways(backend, instances, None), np.zeros(points.shape[1])
+        ways, total = Ways(backend, instances, None).of_lamp(self.lamp), np.zeros(points.shape[1])
         sides = ways.sides(self.light, points)
         for i in range(len(self.light.points)):
             for side in sides:

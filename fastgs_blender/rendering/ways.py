@@ -50,6 +50,15 @@ class Ways:
         self.backend, self.meshes = backend, meshes
         self.instances = [_plain(each) if once else _bare(each, backend) for each in instances if len(each.model)]
 
+    def of_lamp(self, name: str, clear: np.ndarray | None = None) -> Ways:
+        """The scene without what lets through the light of a lamp of that name: instances that say so, and triangles of a mask [F]."""
+        opaque = [each for each in self.instances if name not in each.settings.clear_to]
+        if clear is None and len(opaque) == len(self.instances):
+            return self
+        made = Ways(self.backend, [], self.meshes if clear is None or self.meshes is None else self.meshes[~clear])
+        made.instances = opaque
+        return made
+
     def sides(self, light: Any, points: np.ndarray) -> list[Side]:
         """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube."""
         every = np.arange(points.shape[1])

@@ -42,7 +42,7 @@ def compile_all(progress: Callable[[float], None] = lambda fraction: None) -> No
         progress((i + 1) / len(jobs))
     render(models[0], camera, backend="cpu", holdout=np.eye(3)[None])
     above = np.array([[[0.1, -9, 0.5], [0.1, 9, 0.5], [9, 0, 0.5]]], np.float32)
-    sun = SceneLight(((Lamp(Light.sun((0, 0, -1)), np.ones(3)), None),), above)
+    sun = SceneLight((Lamp(Light.sun((0, 0, -1)), np.ones(3)),), above)
     look = ObjectSettings(lamp_light=1.0, shadows=1.0)
     for model in models:
         render([Instance(model, np.eye(4), 0.0, look)], camera, backend="cpu", settings=PassSettings(light=sun))

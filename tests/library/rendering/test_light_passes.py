@@ -25,7 +25,7 @@ def of(look, *models):
 
 def test_lights_and_shadows_of_each_lamp_for_themselves():
     """A board keeps the point's light from the wall's middle, a leaf the sun's from a part above; each pass tells its own."""
-    light = SceneLight(((POINT, None), (SUN, None)), board(0, 0, 3.0, 0.3))
+    light = SceneLight((POINT, SUN), board(0, 0, 3.0, 0.3))
     found = fg.render(of(ObjectSettings(), wall(), replace(wall(3.0, 0.4), position=wall(3.0, 0.4).position + [0, -0.9, 0])), CAMERA,
                       passes=PASSES, settings=PassSettings(light=light))
     assert found["lamp_light"][32, 32] == pytest.approx(np.full(3, 3 / 4 / np.pi), rel=0.03)
@@ -70,7 +70,7 @@ def test_the_passes_make_what_scene_light_makes():
     """To 1/255 in the median and 10/255 at the worst of edges, in which a pixel mixes splats in light and in shadow."""
     look = ObjectSettings(captured_light=0.3, lamp_light=0.8, shadows=0.7)
     models = wall(), wall(3.0, 0.4)
-    settings = PassSettings(light=SceneLight(((POINT, None), (SUN, None)), board(0.8, 0, 3.2, 0.2)))
+    settings = PassSettings(light=SceneLight((POINT, SUN), board(0.8, 0, 3.2, 0.2)))
     passes = fg.render(of(ObjectSettings(), *models), CAMERA, passes=PASSES, settings=settings)
     captured = srgb_to_linear(passes["rgb"] / passes["alpha"][..., None])
     wanted = fg.render(of(look, *models), CAMERA, settings=settings)
@@ -102,7 +102,7 @@ def test_the_unlit_colour_of_a_lit_ball():
 
 def test_lamps_on_the_unlit_colour_are_nearer_to_lamps_on_the_plain_one():
     lit, plain = lit_ball()
-    settings = PassSettings(light=SceneLight(((Lamp(Light.sun((-1, -0.4, -0.6)), (2.5, 2.5, 2.5)), None),)))
+    settings = PassSettings(light=SceneLight((Lamp(Light.sun((-1, -0.4, -0.6)), (2.5, 2.5, 2.5)),)))
     look = ObjectSettings(captured_light=0, lamp_light=1)
     true = fg.render(of(look, plain), CAMERA, passes=("rgb", "alpha"), settings=settings)
     captured, estimated = (fg.render(of(replace(look, unlit=share), lit), CAMERA, settings=settings)["rgb"] for share in (0.0, 1.0))

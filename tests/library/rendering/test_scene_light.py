@@ -32,9 +32,9 @@ def wall(depth=4.0, half=2.2, step=0.05, appearance=None, features=None):
         features=np.full((n, 3), GREY) if features is None else features(n), appearance=appearance or fg.RGB())
 
 
-def lit(model, lamps, look=LIT, camera=CAMERA, meshes=None, **options):
+def lit(model, lamps, look=LIT, camera=CAMERA, meshes=None, clear=None, **options):
     """The straight scene-linear picture [h, w, 3] of a model under lamps."""
-    light = SceneLight(tuple((lamp, None) for lamp in lamps), meshes)
+    light = SceneLight(tuple(lamps), meshes, clear=clear or {})
     instances = [each if isinstance(each, Instance) else Instance(each, np.eye(4), 0.0, look) for each in np.atleast_1d(model)]
     images = fg.render(instances, camera, settings=PassSettings(light=light), **options)
     return srgb_to_linear(images["rgb"] / np.maximum(images["alpha"], 1e-6)[..., None])
@@ -126,11 +126,24 @@ def test_captured_light_stays_and_shadows_take_from_it():
 
 
 def test_light_linking():
-    sun = Lamp(Light.sun((0, 0, -1)), (3.0, 3.0, 3.0))
-    light = SceneLight(((sun, frozenset({"lit"})),))
-    for name, bright in (("lit", True), ("other", False)):
-        image = fg.render([Instance(wall(), np.eye(4), 0.0, LIT, name)], CAMERA, settings=PassSettings(light=light))
-        assert (image["rgb"].max() > 0.1) == bright
+    sun = Lamp(Light.sun((0, 0, -1)), (3.0, 3.0, 3.0), name="Sun")
+    for lamp, bright in (("Other", True), ("Sun", False)):
+        look = replace(LIT, unlit_by=frozenset({lamp}))
+        assert (lit(wall(), [sun], look).max() > 0.1) == bright
+
+
+def test_shadow_linking():
+    """What lets a lamp's light through throws no shadow in it, and one in that of others; a mesh's edges do not show either."""
+    lamps = [Lamp(Light([(0, 0, 2.0)]), (3.0, 3.0, 3.0), name=name) for name in ("One", "Other")]
+    free, boards = lit(wall(), lamps[:1]), np.concatenate([board(0, 0, 3.0, 0.3), board(0.7, 0, 3.0, 0.2)])
+    half = len(boards) // 2
+    found = lit(wall(), lamps[:1], meshes=boards, clear={"One": np.arange(len(boards)) < half})
+    only = lit(wall(), lamps[:1], meshes=boards[half:])
+    assert np.array_equal(found, only) and not np.allclose(only, free, atol=0.05)
+    leaf = replace(LIT, clear_to=frozenset({"One"}))
+    for lamp, shadow in zip(lamps, (False, True), strict=True):
+        both = lit([Instance(wall(), np.eye(4), 0.0, LIT), Instance(wall(3.0, 0.3), np.eye(4), 0.0, leaf)], [lamp])
+        assert np.allclose(both[32, 40], 0 if shadow else free[32, 40], atol=0.1 * free[32, 40, 0])
 
 
 def test_every_appearance_is_lit_alike():
@@ -148,7 +161,7 @@ def test_every_appearance_is_lit_alike():
 
 
 def test_what_takes_no_light_keeps_every_byte():
-    light = SceneLight(((Lamp(Light.sun((0, 0, -1)), (2.0, 2.0, 2.0)), None),))
+    light = SceneLight((Lamp(Light.sun((0, 0, -1)), (2.0, 2.0, 2.0)),))
     plain = fg.render(wall(), CAMERA)["rgb"]
     assert np.array_equal(plain, fg.render([Instance(wall(), np.eye(4), 0.0)], CAMERA, settings=PassSettings(light=light))["rgb"])
 
@@ -196,7 +209,7 @@ def test_what_the_picture_does_not_show_is_not_computed():
     rng = np.random.default_rng(2)
     dust = replace(wall(3.5, 2.0, 0.1), position=wall(3.5, 2.0, 0.1).position + rng.normal(0, 0.1, (1600, 3)).astype(np.float32),
                    scale=rng.normal(-4.5, 0.8, (1600, 3)).astype(np.float32), opacity=rng.normal(0, 2, 1600).astype(np.float32))
-    light = SceneLight(((Lamp(Light.sun((0, -1, -1)), (3.0, 3.0, 3.0)), None),), board(0, 0, 2.0, 0.3))
+    light = SceneLight((Lamp(Light.sun((0, -1, -1)), (3.0, 3.0, 3.0)),), board(0, 0, 2.0, 0.3))
     instances = [Instance(model, np.eye(4), 0.0, LIT) for model in (wall(), dust, wall(5.0))]
     for camera in (CAMERA, CAMERA.stretched(480, 480)):
         found, whole = (light.lit(instances, camera, load_backend("cpu"), still=still) for still in (True, False))

@@ -77,7 +77,7 @@ def test_where_a_pixel_shows_two_things_each_keeps_its_own_shadow():
 
 
 def test_the_passes_have_the_same_edge():
-    settings = PassSettings(light=SceneLight(((POINT, None),), board(0, 0, 3.0, 0.3)))
+    settings = PassSettings(light=SceneLight((POINT,), board(0, 0, 3.0, 0.3)))
     names = ("rgb", "mesh_shadow", "lamp_shadow")
     plain = [Instance(COARSE, np.eye(4), 0.0)]
     found = fg.render(plain, CAMERA, passes=names, settings=settings)
