@@ -46,9 +46,10 @@ class CameraEstimates:
         """Arrays of the backend from which accumulate() makes the step's statistics; splat(view, later) renders a view so much later."""
         arrays = []
         if self.response.is_due(iteration, self.iterations):
-            apart = APART * self.response.frame if self.response.are_clocks_due(iteration, self.iterations) else 0.0
+            apart = APART * self.response.frame
             for view in views:
-                sides = [splat(view, side) for side in (apart, -apart)] if apart else None
+                clock = self.response.are_clocks_due(iteration, self.iterations, (view.shot.view,))
+                sides = [splat(view, side) for side in (apart, -apart)] if clock else None
                 arrays.append(self.response.measure(backend, view.shot, view.picture, view.rgb, view.weight, view.least,
                                                     view.target.background, sides))
         if self.turns.is_due(iteration, self.iterations):

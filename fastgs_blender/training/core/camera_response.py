@@ -167,10 +167,11 @@ class CameraResponse:
         return self.are_clocks_due(iteration, iterations) or (
             self._open(self.exposures, self.colours_differ, iteration, iterations) and _may_move(self._gain_range()))
 
-    def are_clocks_due(self, iteration: int, iterations: int) -> bool:
-        """Whether this step's pictures are used to estimate clocks."""
+    def are_clocks_due(self, iteration: int, iterations: int, views: Sequence[str] = ()) -> bool:
+        """Whether this step's pictures are used to estimate clocks: where the clock of one of these views may move (none: of any)."""
+        rows = [self.views.index(view) for view in views or self.views]
         return (iteration >= CLOCKS_FIRST * iterations and self._open(self.clocks, self.clocks_differ, iteration, iterations)
-                and _may_move(self._clock_range()))
+                and _may_move(self._clock_range()[:, rows]))
 
     @staticmethod
     def _open(setting: str, differ: bool, iteration: int, iterations: int) -> bool:

@@ -17,6 +17,7 @@ from fastgs_blender.evaluation.metrics import psnr
 from fastgs_blender.evaluation.report import table
 from fastgs_blender.evaluation.training_record import corrections, corrections_entry, sentence
 from fastgs_blender.kernels.protocol import ForwardPass
+from fastgs_blender.training.core.camera_estimates import CameraEstimates
 from fastgs_blender.training.core.camera_response import ALIKE_PIXELS, CameraResponse
 from fastgs_blender.training.core.measure import measure
 from fastgs_blender.training.core.settings import settings
@@ -182,6 +183,16 @@ def test_a_clock_moves_only_as_far_as_evidence_is_unsure():
     for _ in range(20):
         free.update(np.zeros((3, 3, 5)), clock)
     assert free.offsets[1] > 0.3
+
+
+def test_only_clocks_that_may_move_cost_further_renders():
+    estimates = CameraEstimates(response([[0, 0.1], [0.4, 0.1], [0, 0.1]], exposures="off"), SimpleNamespace(is_due=lambda *_: False), 1000)
+    picture = ForwardPass(np.full((8, 8, 3), 0.5, np.float32), np.ones((8, 8), np.float32), None, None)
+    views = [SimpleNamespace(shot=shot(view), target=Target(None, 0.25, picture.rgb, None, None, None, True), picture=picture,
+                             rgb=picture.rgb, weight=None, least=None) for view in VIEWS]
+    drawn = []
+    sums = estimates.measure(load_backend("cpu"), 300, views, lambda view, later: drawn.append((view.shot.view, later)) or picture)
+    assert len(sums) == 3 and drawn == [("b", 0.025), ("b", -0.025)]
 
 
 def test_evidence_of_two_cameras_comes_from_their_pictures_alone():
