@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numba import float32
 
 from .. import asserts
 from .jit import kernel
@@ -34,11 +35,12 @@ def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
 def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: int) -> np.ndarray:
     """TrainingBackend.sweep()."""
     asserts.sweep(image, others, planes)
-    costs = np.empty((len(others), len(planes), *image.shape[:2]), np.float32)
-    for cost, (other, turn, shift) in zip(costs, others):
-        differences(image, other, turn, shift, planes, np.float32(outside), cost)
-        averaged(cost, reach, np.empty(image.shape[:2], np.float32))
-    return costs
+    h, w = image.shape[:2]
+    costs = np.empty((len(others), len(planes), h, w), np.float32)
+    for cost, (other, *between) in zip(costs, others):
+        differences(image, other, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
+        averaged(cost, reach, np.empty((h, w), np.float32))
+    return better_half(costs.reshape(len(others), -1), np.empty(costs[0].size, np.float32)).reshape(costs.shape[1:])
 
 
 @kernel
@@ -49,28 +51,29 @@ def differences(image, other, turn, shift, planes, outside, out):
     turn @ (u, v, 1) z + shift (homogeneous).  outside: the difference where the other picture ends, or the plane lies behind a camera.
     """
     height, width = image.shape[:2]
-    other_height, other_width = other.shape[:2]
+    right, bottom = float32(other.shape[1] - 1), float32(other.shape[0] - 1)
+    half, one, third = float32(0.5), float32(1), float32(1 / 3)
     for d in range(len(planes)):
         for i in range(height):
             for j in range(width):
-                u, v = j + 0.5, i + 0.5
+                u, v = float32(j) + half, float32(i) + half
                 near = planes[d, 0] * u + planes[d, 1] * v + planes[d, 2]
                 w = turn[2, 0] * u + turn[2, 1] * v + turn[2, 2] + shift[2] * near
                 out[d, i, j] = outside
                 if w <= 0 or near <= 0:
                     continue
-                x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] + shift[0] * near) / w - 0.5
-                y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] + shift[1] * near) / w - 0.5
-                if not (x >= 0 and y >= 0 and x < other_width - 1 and y < other_height - 1):
+                x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] + shift[0] * near) / w - half
+                y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] + shift[1] * near) / w - half
+                if not (x >= 0 and y >= 0 and x < right and y < bottom):
                     continue
                 a, b = int(x), int(y)
-                p, q = x - a, y - b
-                total = 0.0
+                p, q = x - float32(a), y - float32(b)
+                total = float32(0)
                 for c in range(3):
-                    value = ((1 - q) * ((1 - p) * other[b, a, c] + p * other[b, a + 1, c])
-                             + q * ((1 - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
+                    value = ((one - q) * ((one - p) * other[b, a, c] + p * other[b, a + 1, c])
+                             + q * ((one - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
                     total += abs(value - image[i, j, c])
-                out[d, i, j] = total / 3
+                out[d, i, j] = total * third
 
 
 @kernel
@@ -80,15 +83,37 @@ def averaged(cost, reach, row):
     for d in range(planes):
         for i in range(height):
             for j in range(width):
-                low, high = max(j - reach, 0), min(j + reach, width - 1)
-                total = 0.0
-                for k in range(low, high + 1):
-                    total += cost[d, i, k]
-                row[i, j] = total / (high - low + 1)
+                row[i, j] = 0
+            for step in range(-reach, reach + 1):
+                for j in range(max(-step, 0), min(width - step, width)):
+                    row[i, j] += cost[d, i, j + step]
         for i in range(height):
             low, high = max(i - reach, 0), min(i + reach, height - 1)
             for j in range(width):
-                total = 0.0
-                for k in range(low, high + 1):
-                    total += row[k, j]
-                cost[d, i, j] = total / (high - low + 1)
+                cost[d, i, j] = 0
+            for k in range(low, high + 1):
+                for j in range(width):
+                    cost[d, i, j] += row[k, j]
+            for j in range(width):
+                cost[d, i, j] /= (high - low + 1) * (min(j + reach, width - 1) - max(j - reach, 0) + 1)
+
+
+@kernel
+def better_half(costs, out):
+    """The means [P] of the lower half of costs [O, P], the middle one included."""
+    number = len(costs)
+    half = (number + 1) // 2
+    lowest = np.empty(number, np.float32)
+    for p in range(len(out)):
+        for k in range(number):
+            value = costs[k, p]
+            at = k
+            while at and lowest[at - 1] > value:
+                lowest[at] = lowest[at - 1]
+                at -= 1
+            lowest[at] = value
+        total = float32(0)
+        for k in range(half):
+            total += lowest[k]
+        out[p] = total / float32(half)
+    return out

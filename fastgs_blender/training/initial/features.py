@@ -150,7 +150,7 @@ def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray
     inverse = [np.linalg.inv(matrix(f.camera)) for f in features]
     centres = np.array([-pose[:, :3].T @ pose[:, 3] for pose in poses])
     points, seen_by = [], []
-    for track in tracks(features):
+    for track in tracks(features, count=NEIGHBOURS):
         while len(track) >= least_views:
             rays = np.array([inverse[k] @ (*features[k].places[n], 1.0) for k, n in track])
             rays /= np.linalg.norm(rays, axis=1, keepdims=True)

@@ -76,9 +76,7 @@ def differences(picture, others, planes: np.ndarray) -> np.ndarray:
     for other, its, _ in others:
         between = its.world_to_camera @ np.linalg.inv(camera.world_to_camera)
         views.append((other, matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera)), matrix(its) @ between[:3, 3]))
-    costs = load_backend("cpu").sweep(image, views, planes, OUTSIDE, WINDOW)
-    half = max(1, (len(others) + 1) // 2)
-    return np.partition(costs, half - 1, axis=0)[:half].mean(0)
+    return load_backend("cpu").sweep(image, views, planes, OUTSIDE, WINDOW)
 
 
 def _depths(cost: np.ndarray, depths: np.ndarray) -> Depths:
