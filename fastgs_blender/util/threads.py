@@ -7,7 +7,7 @@ work is cut, so the result has the same bytes for any number of threads.
 """
 import os
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from concurrent.futures import FIRST_COMPLETED, FIRST_EXCEPTION, ThreadPoolExecutor, wait
+from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar
@@ -61,29 +61,33 @@ def run(work: Callable[..., Any], pieces: Iterable[tuple], progress: Callable[[f
     progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.
     """
     pieces = list(pieces)
+    results: list[Any] = [None] * len(pieces)
+    numbers, failed = iter(range(len(pieces))), list[int]()
+
+    def take(progress: Callable[[float], object] | None = None) -> None:
+        for k in numbers:  # threads share it: each number comes once
+            if failed:
+                return
+            try:
+                results[k] = work(*pieces[k])
+                if progress:
+                    progress((k + 1) / len(pieces))
+            except BaseException:
+                failed.append(k)
+                raise
+
     count = thread_count()
-    if count == 1 or len(pieces) == 1:
-        results = []
-        for i, piece in enumerate(pieces):
-            results.append(work(*piece))
-            if progress:
-                progress((i + 1) / len(pieces))
-        return results
-    futures = [_pool(count).submit(work, *piece) for piece in pieces]
+    others = [_pool(count).submit(take) for _ in range(min(count, len(pieces)) - 1)]
     try:
-        pending = set(futures)
-        while pending:
-            done, pending = wait(pending, return_when=FIRST_COMPLETED)
-            for future in done:
-                future.result()
-            if progress:
-                progress(1 - len(pending) / len(futures))
-    except BaseException:
-        for future in futures:
-            future.cancel()
-        wait(futures)
-        raise
-    return [future.result() for future in futures]
+        take(progress)
+    finally:
+        begun = [other for other in others if not other.cancel()]
+        wait(begun)
+    for other in begun:
+        other.result()
+    if progress and others:
+        progress(1.0)
+    return results
 
 
 def gathered(works: Sequence[Callable[[], Result]], tick: Callable[[], None], most: int = 4) -> list[Result]:

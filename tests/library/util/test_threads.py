@@ -1,0 +1,38 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Work that is spread over threads."""
+from __future__ import annotations
+
+import pytest
+
+from fastgs_blender.util import threads
+
+
+@pytest.fixture(params=[1, 3])
+def count(request):
+    threads.set_threads(request.param)
+    yield request.param
+    threads.set_threads(0)
+
+
+def test_results_come_in_the_order_of_the_pieces(count):
+    heard = []
+    assert threads.run(lambda a, b: a * b, [(k, 2) for k in range(50)], heard.append) == [2 * k for k in range(50)]
+    assert heard == sorted(heard) and heard[-1] == 1.0 and threads.run(len, []) == []
+
+
+def test_a_piece_may_spread_work_itself(count):
+    inner = [threads.run(lambda k: [threads.run(lambda n: n, [(n,) for n in range(5)]) for _ in range(5)], [(k,) for k in range(9)])]
+    assert inner == [[[list(range(5))] * 5] * 9]
+
+
+def test_what_a_piece_raises_stops_the_rest(count):
+    done = []
+
+    def work(k):
+        if k == 3:
+            raise KeyError(k)
+        done.append(k)
+
+    with pytest.raises(KeyError):
+        threads.run(work, [(k,) for k in range(10_000)])
+    assert len(done) < 9_999
