@@ -11,40 +11,41 @@ from .guesses import room_for
 from .shaders import TILE
 
 BLOCK = 2048
-"""Numbers that a workgroup scans or sorts."""
-FEW = 8
-"""Blocks of a sort's counts that one workgroup scans sooner than three stages would."""
-DIGIT = 4
+"""Numbers that a workgroup scans at once."""
+KEYS = 1024
+"""Keys that a workgroup sorts."""
+DIGIT = 8
+"""Bits by which a pass of a sort sorts."""
 ENTRIES = 1 << 25
 """Entries of tile lists held at once; a picture with more is drawn in bands."""
 TILES = 1 << 18
 """Tiles drawn at once, so that a workgroup's counts stay below 2^32."""
 
 
-def scan(device: Device, values: Buffer, count: int, few: int = 1) -> None:
-    """Exclusive prefix sums of `count` integers, in place; up to `few` blocks are left to one workgroup."""
+def scan(device: Device, values: Buffer, count: int) -> None:
+    """Exclusive prefix sums of `count` integers, in place."""
     if not count:
         return
     blocks = -(-count // BLOCK)
-    each = blocks if blocks <= few else 1
-    groups = blocks // each
-    sums = device.buffer(groups)
-    device.run("scan_block", groups, [[count, each, 0, 0]], values, sums, groups=True)
-    if groups > 1:
-        scan(device, sums, groups)
+    sums = device.buffer(blocks)
+    device.run("scan_block", blocks, [[count, BLOCK, 0, 0]], values, sums, groups=True)
+    if blocks > 1:
+        scan(device, sums, blocks)
         device.run("scan_add", count, [[count, 0, 0, 0]], values, sums)
 
 
 def sort(device: Device, keys: Buffer, values: Buffer, count: int, bits: int) -> tuple[Buffer, Buffer]:
     """Keys of so many bits in their order, and each one's value; equal keys keep theirs.  Both buffers are written to."""
-    blocks = -(-count // BLOCK)
+    blocks, digits = -(-count // KEYS), 1 << DIGIT
+    together = min(max(BLOCK // blocks, 1), digits)  # digits whose counts a workgroup scans as one row
     others = device.buffer(count), device.buffer(count)
-    counts = device.buffer(16 * blocks)
+    counts, totals = device.buffer(digits * blocks), device.buffer(digits)
+    device.clear(totals)
     for shift in range(0, bits, DIGIT):
-        job = [[count, shift, blocks, 0]]
+        job = [[count, shift, blocks, together]]
         device.run("sort_count", blocks, job, keys, counts, groups=True)
-        scan(device, counts, 16 * blocks, FEW)
-        device.run("sort_scatter", blocks, job, counts, keys, values, *others, groups=True)
+        device.run("scan_block", -(-digits // together), [[digits * blocks, together * blocks, 0, 0]], counts, totals, groups=True)
+        device.run("sort_scatter", blocks, job, counts, totals, keys, values, *others, groups=True)
         (keys, values), others = others, (keys, values)
     return keys, values
 

@@ -1,15 +1,15 @@
-// Exclusive prefix sums within blocks of 2048 numbers, in place in `values`; `sums` gets each block's total.  A workgroup may go through
-// several blocks, which are then one.  Sums that do not fit into 32 bits stay at the largest number.
+// Exclusive prefix sums within rows of numbers, in place in `values`; `sums` gets each row's total.  Sums that do not fit into 32 bits stay at
+// the largest number.
 
 //include common
 
-@group(0) @binding(0) var<uniform> length: vec4u; // numbers, blocks of a workgroup
+@group(0) @binding(0) var<uniform> length: vec4u; // numbers, those of a row
 @group(0) @binding(1) var<storage, read_write> values: array<u32>;
 @group(0) @binding(2) var<storage, read_write> sums: array<u32>;
 
 var<workgroup> own: array<u32, 256>;
 var<workgroup> sixteen: array<u32, 16>;
-var<workgroup> done: u32; // the sum of the blocks before
+var<workgroup> done: u32; // the sum of the row's earlier numbers
 
 fn plus(a: u32, b: u32) -> u32 {
     return select(a + b, 0xffffffffu, a + b < a);
@@ -18,12 +18,13 @@ fn plus(a: u32, b: u32) -> u32 {
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let number = place(group, groups);
+    let end = min((number + 1u) * length.y, length.x);
     if lane == 0u {
         done = 0u;
     }
-    for (var block = number * length.y; block < (number + 1u) * length.y; block++) {
-        let first = block * 2048u + lane * 8u;
-        let last = min(first + 8u, length.x);
+    for (var block = number * length.y; block < end; block += 2048u) {
+        let first = block + lane * 8u;
+        let last = min(first + 8u, end);
         var total = 0u;
         for (var i = first; i < last; i++) {
             total = plus(total, values[i]);
@@ -55,7 +56,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
             before = plus(before, value);
         }
     }
-    if lane == 255u && number * length.y * 2048u < length.x {
+    if lane == 255u && number * length.y < length.x {
         sums[number] = done;
     }
 }

@@ -1,4 +1,4 @@
-// Radix sort, first half of a pass: count how often each digit of 4 bits occurs in each block of 2048 keys.  The counts lie digit by digit.
+// Radix sort, first stage of a pass: count how often each digit of 8 bits occurs in each block of 1024 keys.  The counts lie digit by digit.
 
 //include common
 
@@ -6,23 +6,23 @@
 @group(0) @binding(1) var<storage, read> keys: array<u32>;
 @group(0) @binding(2) var<storage, read_write> counts: array<u32>;
 
-var<workgroup> tally: array<atomic<u32>, 16>;
+var<workgroup> tally: array<atomic<u32>, 256>;
 
 @compute @workgroup_size(256)
 fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
     let block = place(group, groups);
-    if lane < 16u {
-        atomicStore(&tally[lane], 0u);
-    }
+    atomicStore(&tally[lane], 0u);
     workgroupBarrier();
-    for (var i = 0u; i < 8u; i++) {
-        let at = block * 2048u + i * 256u + lane;
+    //each i 4
+    {
+        let at = block * 1024u + i * 256u + lane;
         if at < job.x {
-            atomicAdd(&tally[(keys[at] >> job.y) & 15u], 1u);
+            atomicAdd(&tally[(keys[at] >> job.y) & 255u], 1u);
         }
     }
+    //end
     workgroupBarrier();
-    if lane < 16u && block < job.z {
+    if block < job.z {
         counts[lane * job.z + block] = atomicLoad(&tally[lane]);
     }
 }

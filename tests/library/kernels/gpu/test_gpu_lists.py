@@ -19,15 +19,17 @@ def other(gpu):
 
 
 @pytest.mark.parametrize("subgroups", [False, True])
-def test_equal_keys_keep_their_order(other, rng, subgroups):
+@pytest.mark.parametrize("count, bits", [(1, 4), (9000, 10), (30_000, 32)])
+def test_equal_keys_keep_their_order(other, rng, subgroups, count, bits):
+    """Blocks that are full or not, digits in one row and in several, up to four passes."""
     if subgroups and SUBGROUPS not in other.native.features:
         pytest.skip("this GPU has no subgroups")
     if not subgroups:
         other.__dict__["subgroups"] = False
     assert other.subgroups == subgroups
-    keys = rng.integers(0, 1 << 10, 9000, np.uint32)
-    values = sort(other, other.array(keys).buffer, other.array(np.arange(9000, dtype=np.uint32)).buffer, 9000, 10)[1]
-    assert np.array_equal(other.read(values, np.uint32, 9000), np.argsort(keys, kind="stable"))
+    keys = rng.integers(0, 1 << bits, count, np.uint32) & np.uint32(0xf0f0f0f3)  # many are equal
+    values = sort(other, other.array(keys).buffer, other.array(np.arange(count, dtype=np.uint32)).buffer, count, bits)[1]
+    assert np.array_equal(other.read(values, np.uint32, count), np.argsort(keys, kind="stable"))
     assert ("subgroupExclusiveAdd" in shaders.source("sort_scatter", other.subgroups)) == subgroups
 
 
