@@ -19,7 +19,7 @@ def other(gpu):
 
 
 @pytest.mark.parametrize("subgroups", [False, True])
-@pytest.mark.parametrize("count, bits", [(1, 4), (9000, 10), (30_000, 32)])
+@pytest.mark.parametrize(("count", "bits"), [(1, 4), (9000, 10), (30_000, 32)])
 def test_equal_keys_keep_their_order(other, rng, subgroups, count, bits):
     """Blocks that are full or not, digits in one row and in several, up to four passes."""
     if subgroups and SUBGROUPS not in other.native.features:
