@@ -44,7 +44,7 @@ def _render_layer(engine, depsgraph):
     if _has(wanted, "shadow"):
         settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
     of_lamps, status = any(entry.light for entry in wanted), Status(engine, f"{scene.name}, {layer.name}")
-    around = _panorama(engine, scene, lamps.world_of(depsgraph, of_lamps), status)
+    around = _panorama(engine, scene, lamps.world_of(depsgraph, of_lamps), status, light=True)
     settings_now = replace(settings_now, light=lamps.scene_light(depsgraph, passes=of_lamps, around=around))
     surfaces = lamps.surfaces(depsgraph) if settings_now.light or any(entry.name in ("normal", "unlit") for entry in wanted) else {}
     shutter = exposure.times(scene)
@@ -107,12 +107,12 @@ def _background(engine, scene, layer, status):
     return found.behind if found else lambda eye: plain
 
 
-def _panorama(engine, scene, shown, status) -> sky.Panorama | None:
-    """The panorama of a world on the current frame; None without a world, or where it cannot be rendered, which is told."""
+def _panorama(engine, scene, shown, status, light=False) -> sky.Panorama | None:
+    """The panorama of a world on the current frame, as cameras see it or as it lights; None without one, or if it fails, which is told."""
     if shown is None:
         return None
     status("Rendering the world")
-    request = sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe))
+    request = sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe), light)
     while (found := sky.sky.get(request)) is None:
         sky.sky.ask(request)
         worker.run(lambda progress: sky.sky.wait(sky.PATIENCE), engine.test_break, status.progress)

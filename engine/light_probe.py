@@ -76,7 +76,7 @@ def panorama_of(probe, depsgraph) -> np.ndarray:
     blur = exposure.exposure(scene, moments, None)
     device, lit_by, around = devices.wanted(scene), lamps.world_of(depsgraph), None
     if lit_by is not None:
-        around = sky.sky.made(sky.WorldRequest(lit_by, (depsgraph.scene.frame_current, depsgraph.scene.frame_subframe)))
+        around = sky.sky.made(sky.WorldRequest(lit_by, (depsgraph.scene.frame_current, depsgraph.scene.frame_subframe), True))
     light = lamps.scene_light(depsgraph, around=around)
     found = scene_linear.render(
         instances, camera, colour.rec709_to_working(), settings=replace(passes.settings(scene), light=light),

@@ -40,8 +40,15 @@ def surfaces(depsgraph) -> dict[str, np.ndarray]:
 
 def world_of(depsgraph, passes: bool = False):
     """The world that lights splats and is more than one colour, so that scene_light() wants its panorama; None where there is none."""
-    scene = depsgraph.scene.fastgs.splats_scene or depsgraph.scene
-    return world.surface(scene, depsgraph.view_layer)[1] if passes or any(takes_light(obj) for obj in _splats(depsgraph)) else None
+    return _world(depsgraph)[1] if passes or any(takes_light(obj) for obj in _splats(depsgraph)) else None
+
+
+def _world(depsgraph):
+    """As world.surface(), the world that lights; none where diffuse surfaces do not see it (its Ray Visibility)."""
+    scene, layer = depsgraph.scene.fastgs.splats_scene or depsgraph.scene, depsgraph.view_layer
+    shown = world.shown_in(scene, layer)
+    seen = getattr(getattr(shown, "cycles_visibility", None), "diffuse", True)
+    return world.surface(scene, layer) if seen else (world.BLACK, None)
 
 
 def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.Panorama | None = None) -> SceneLight | None:
@@ -64,7 +71,7 @@ def scene_light(depsgraph, size: int = 1024, passes: bool = False, around: sky.P
                 found.append(lamp)
                 levels.append(numbers.index(obj.name_full) if obj.name_full in numbers else LAMPS)
     directions = max(scene.fastgs.shadow_samples, 16)
-    radiance, _ = world.surface(scene, depsgraph.view_layer)
+    radiance, _ = _world(depsgraph)
     shining = dome(from_working @ radiance, directions) if any(radiance) else None
     if around is not None:
         shining = panorama(around.reduced(AROUND) @ from_working.T, directions)

@@ -40,7 +40,7 @@ _CHILD = """
 import sys
 import bpy
 import numpy as np
-file, name, target, width, strip, frame, subframe, space = sys.argv[sys.argv.index("--") + 1:]
+file, name, target, width, strip, frame, subframe, space, light = sys.argv[sys.argv.index("--") + 1:]
 bpy.ops.wm.read_factory_settings(use_empty=True)
 if space:
     bpy.ops.wm.set_working_color_space(working_space=space, convert_colors=False)
@@ -48,6 +48,13 @@ with bpy.data.libraries.load(file) as (there, here):
     here.worlds = [name]
 scene = bpy.context.scene
 world = scene.world = here.worlds[0]
+if light:  # what lamps of the world see is not what the camera sees
+    for tree in [world.node_tree, *bpy.data.node_groups]:
+        for node in [node for node in tree.nodes if node.bl_idname == 'ShaderNodeLightPath']:
+            for link in [link for socket in node.outputs for link in socket.links]:
+                value = tree.nodes.new('ShaderNodeValue').outputs[0]
+                value.default_value = float(link.from_socket.name in ("Is Diffuse Ray", "Ray Depth", "Diffuse Depth"))
+                tree.links.new(value, link.to_socket)
 scene.frame_set(int(frame), subframe=float(subframe))
 camera = scene.camera = bpy.data.objects.new("Eye", bpy.data.cameras.new("Eye"))
 scene.collection.objects.link(camera)
@@ -189,7 +196,7 @@ class Sky:
         script, target = folder / "panorama.py", folder / "panorama"
         script.write_text(_CHILD, "utf-8")
         given = ["--", folder / "world.blend", request.name, target, str(request.width), str(STRIP), *(str(v) for v in request.frame),
-                 request.space]
+                 request.space, "light" * request.light]
         blender = [bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "1", "-P"]
         self._process = subprocess.Popen([*(blender if bpy.app.binary_path else [sys.executable]), script, *given],
                                          stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **hidden())
@@ -204,19 +211,25 @@ sky = Sky()
 
 @dataclass(frozen=True, eq=False)
 class WorldRequest:
-    """A world on one frame, with all that its panorama depends on."""
+    """A world on one frame, with all that its panorama depends on.
+
+    light  whether it is to be as it lights, and not as cameras see it; the same where no Light Path node of it tells these apart
+    """
 
     world: bpy.types.World
     frame: tuple[int, float]
+    light: bool = False
 
     def __post_init__(self):
-        images = list(_images(self.world.node_tree))
+        nodes = list(_nodes(self.world.node_tree))
+        images = [node.image for node in nodes if getattr(node, "image", None) is not None]
         widest = max((image.size[0] for image in images), default=PLAIN_WIDTH)
         set_ = object.__setattr__
         set_(self, "name", self.world.original.name)
         set_(self, "width", 2 ** math.ceil(math.log2(min(max(widest, WIDTHS[0]), WIDTHS[1]))))
         set_(self, "space", bpy.data.colorspace.working_space if hasattr(bpy.data, "colorspace") else "")
-        known = [self.name, self.space, self.width, _edits, *facts(self.world)]
+        set_(self, "light", self.light and any(node.bl_idname == 'ShaderNodeLightPath' for node in nodes))
+        known = [self.name, self.space, self.width, self.light, _edits, *facts(self.world)]
         set_(self, "key", hashlib.sha256(repr(known).encode()).hexdigest())
 
     def write(self, path: Path) -> None:
@@ -234,13 +247,11 @@ def edited(scene=None, depsgraph=None) -> None:
         _edits += 1
 
 
-def _images(tree):
+def _nodes(tree):
     for node in tree.nodes:
-        image = getattr(node, "image", None)
-        if image is not None:
-            yield image
+        yield node
         if getattr(node, "node_tree", None) is not None:
-            yield from _images(node.node_tree)
+            yield from _nodes(node.node_tree)
 
 
 SKIPPED = {"rna_type", "location", "location_absolute", "width", "height", "select", "show_options", "show_preview", "show_texture",

@@ -14,9 +14,14 @@ def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, bp
     return (None, None) if scene.render.film_transparent else surface(scene, view_layer)
 
 
+def shown_in(scene, view_layer) -> bpy.types.World | None:
+    """The world of a view layer, evaluated or not."""
+    return light_probe.source_of(getattr(view_layer, "world_override", None) or scene.world)
+
+
 def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.World | None]:
     """(scene-linear colour of a view layer's world; the world where it is more than that colour, or None)."""
-    world = light_probe.source_of(getattr(view_layer, "world_override", None) or scene.world)
+    world = shown_in(scene, view_layer)
     if world is None or not view_layer.use_sky:
         return BLACK, None
     if bpy.app.version < (5, 0, 0) and not world.use_nodes:  # later worlds always have nodes

@@ -97,7 +97,7 @@ class Viewports:
         chosen = passes.in_viewport(space.shading, depsgraph.scene)
         of_lamps = chosen in PASSES and PASSES[chosen].light
         lit_by = self._once("lit by", lambda: lamps.world_of(depsgraph, of_lamps), space, depsgraph, of_lamps)
-        around = self._panorama(depsgraph.scene, lit_by) if lit_by else None
+        around = self._panorama(depsgraph.scene, lit_by, light=True) if lit_by else None
         light = self._once("light", lambda: lamps.scene_light(depsgraph, LIGHT_SIZE, of_lamps, around), space, depsgraph, of_lamps, around)
         if chosen is None and light is not None:
             chosen = fallback.PICTURE
@@ -122,9 +122,10 @@ class Viewports:
             return plain
         return self._panorama(scene, more) or plain
 
-    def _panorama(self, scene, shown) -> sky.Panorama | None:
-        """The panorama of a world, or the one that was there before until it has been rendered."""
-        self._request = self._once("world", lambda: sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe)))
+    def _panorama(self, scene, shown, light=False) -> sky.Panorama | None:
+        """The panorama of a world, as cameras see it or as it lights, or the one that was there before until it has been rendered."""
+        self._request = self._once(
+            "world", lambda: sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe), light), light)
         found = sky.sky.get(self._request)
         if found is None:
             sky.sky.ask(self._request)

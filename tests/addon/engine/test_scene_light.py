@@ -250,3 +250,25 @@ def test_settings_of_lamps_count_as_in_cycles(scene, shot, lamp):
     ours = lit()
     portal.hide_render = unseen.hide_render = True  # Blender 5.0 crashes with portals and no world, and the two suns are not apart in it
     assert psnr(ours, cycles()) > 30
+
+
+@pytest.mark.slow
+def test_a_world_lights_as_it_lights_meshes_and_not_as_the_camera_sees_it(scene, screen, sky, add_camera, render):
+    """Light Path nodes tell the two apart, as where a picture lights and a colour is behind; Ray Visibility switches the light off."""
+    add_camera()
+    scene.view_settings.view_transform, scene.render.film_transparent = 'Raw', True
+    screen.fastgs.captured_light, screen.fastgs.lamp_light = 0, 1
+    plain = picture(render())
+    tree = scene.world.node_tree
+    shown, mix = tree.nodes.new('ShaderNodeBackground'), tree.nodes.new('ShaderNodeMixShader')
+    shown.inputs["Color"].default_value = 0, 5, 0, 1
+    tree.links.new(tree.nodes.new('ShaderNodeLightPath').outputs["Is Camera Ray"], mix.inputs[0])
+    tree.links.new(tree.nodes["Background"].outputs[0], mix.inputs[1])
+    tree.links.new(shown.outputs[0], mix.inputs[2])
+    tree.links.new(mix.outputs[0], tree.get_output_node('ALL').inputs["Surface"])
+    lit = picture(render())
+    assert plain[24, 32].min() > 0.001 and np.allclose(lit[24, 32], plain[24, 32], rtol=0.1)
+    scene.render.film_transparent, screen.scale = False, (0.1, 0.1, 0.1)
+    assert np.allclose(picture(render())[2, 2, :3], (0, 5, 0), atol=0.01)
+    scene.world.cycles_visibility.diffuse, scene.render.film_transparent = False, True
+    assert picture(render())[24, 32, :3].max() < 1e-4
