@@ -11,7 +11,9 @@ Nothing else in the library imports this module; training does without torch.  d
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from types import TracebackType
 from typing import Any
 
 import numpy as np
@@ -83,7 +85,7 @@ class _Picture(torch.autograd.Function):
     """The pose [6] and the parameters -> rgb [h, w, 3], alpha [h, w], depth [h, w] (or empty)."""
 
     @staticmethod
-    def forward(ctx: Any, names, call, statistics, detach_time, pose, *values):
+    def forward(ctx: Any, names: Sequence[str], call: Any, statistics: Any, detach_time: bool, pose: Any, *values: Any) -> tuple[Any, ...]:
         template, camera, t, depth, band, name = call
         ctx.set_materialize_grads(False)
         ctx.save_for_backward(*values)
@@ -98,7 +100,7 @@ class _Picture(torch.autograd.Function):
         return tuple(torch.from_numpy(array).to(values[0].device) for array in found)
 
     @staticmethod
-    def backward(ctx: Any, rgb, alpha, depth):
+    def backward(ctx: Any, rgb: Any, alpha: Any, depth: Any) -> tuple[Any, ...]:
         values = ctx.saved_tensors  # raises where a parameter was changed since
         slopes = [None if grad is None else np.ascontiguousarray(grad.detach().cpu().numpy(), np.float32) for grad in (rgb, alpha, depth)]
         if ctx.picture.depth is None:
@@ -142,7 +144,7 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
         spin = 0.5 * rotations.multiply(np.broadcast_to([0.0, *axis], quaternions.shape), quaternions)
         slope[k] = (g_position * steady).sum() + (g_rotation * spin).sum()
 
-        def colour(step, k=k, steady=steady):
+        def colour(step: float, k: int = k, steady: Any = steady) -> float:
             eye = replace(camera, world_to_camera=_left(step * steps[k], shift) @ camera.world_to_camera)
             instance = Instance(model, np.eye(4), t, AS_TRAINED).viewed(eye)
             if isinstance(look, Features):
@@ -183,6 +185,6 @@ class _told:
     def __enter__(self) -> None:
         pass
 
-    def __exit__(self, kind, error, trace) -> None:
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if isinstance(error, DeviceError):
             raise FastGSError(f"the GPU fails ({error}); use the backend cpu, or a smaller picture.") from error

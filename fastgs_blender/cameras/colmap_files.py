@@ -8,6 +8,7 @@ import struct
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from types import TracebackType
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -217,13 +218,13 @@ def _points_txt(path: Path) -> Iterator[tuple]:
 class _understood:
     """Around the parsing of a line: what makes no sense becomes a FastGSError."""
 
-    def __init__(self, path, words):
+    def __init__(self, path: Path, words: list[str]) -> None:
         self.path, self.words = path, words
 
     def __enter__(self) -> "_understood":
         return self
 
-    def __exit__(self, kind, error, trace):
+    def __exit__(self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None) -> None:
         if kind is not None and issubclass(kind, (ValueError, IndexError, OverflowError)):
             raise FastGSError(f"{self.path}: the line {' '.join(self.words)[:60]!r} makes no sense in COLMAP's format; the file is damaged "
                               "or cut short, so copy it or export the model again.") from error

@@ -17,6 +17,7 @@ from functools import cached_property, lru_cache
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 from .camera import Camera
@@ -77,7 +78,7 @@ class Lens:
         """Whether straight lines stay straight and pixels need no moving."""
         return self.model != "fisheye" and not any(self.k) and not any(self.p) and not self.skew
 
-    def distort(self, xy) -> np.ndarray:
+    def distort(self, xy: ArrayLike) -> np.ndarray:
         """Points [..., 2] of a pinhole's image plane on the distorted plane; NaN where the model folds over or has no image."""
         xy = np.asarray(xy, np.float64)
         x, y = xy[..., 0], xy[..., 1]
@@ -88,7 +89,7 @@ class Lens:
             x, y = self._shift(x, y, factor)
         return np.stack([x + self.skew * y, y], -1)
 
-    def undistort(self, xy) -> np.ndarray:
+    def undistort(self, xy: ArrayLike) -> np.ndarray:
         """The inverse of distort(), to 1e-9; NaN where nothing in front of the lens is seen at that place."""
         xy = np.asarray(xy, np.float64)
         target = np.stack([xy[..., 0] - self.skew * xy[..., 1], xy[..., 1]], -1)
@@ -102,7 +103,7 @@ class Lens:
             wrong |= ~(np.hypot(guess[..., 0], guess[..., 1]) <= inside[-1])
         return np.where(wrong[..., None], np.nan, guess)
 
-    def _newton_step(self, at, target, step=1e-6):
+    def _newton_step(self, at: np.ndarray, target: np.ndarray, step: float = 1e-6) -> np.ndarray:
         off = self._plain(at) - target
         dx = (self._plain(at + [step, 0]) - self._plain(at - [step, 0])) / (2 * step)
         dy = (self._plain(at + [0, step]) - self._plain(at - [0, step])) / (2 * step)
@@ -111,13 +112,13 @@ class Lens:
         y = off[..., 1] * dx[..., 0] - off[..., 0] * dx[..., 1]
         return np.stack([x, y], -1) / det[..., None]
 
-    def _plain(self, xy):
+    def _plain(self, xy: np.ndarray) -> np.ndarray:
         """distort() without the skew and without its limit."""
         x, y = xy[..., 0], xy[..., 1]
         r = np.hypot(x, y)
         return np.stack(self._shift(x, y, np.where(r > 1e-12, self._radius(r) / r, 1.0)), -1)
 
-    def _radius(self, r):
+    def _radius(self, r: np.ndarray) -> np.ndarray:
         """Radius on the distorted plane of a radius on the image plane."""
         k = self.k
         if self.model == "fisheye":
@@ -127,13 +128,13 @@ class Lens:
         s = r * r
         return r * (1 + s * (k[0] + s * (k[1] + s * k[2]))) / (1 + s * (k[3] + s * (k[4] + s * k[5])))
 
-    def _shift(self, x, y, factor):
+    def _shift(self, x: np.ndarray, y: np.ndarray, factor: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         p1, p2 = self.p
         s = x * x + y * y
         return x * factor + 2 * p1 * x * y + p2 * (s + 2 * x * x), y * factor + p1 * (s + 2 * y * y) + 2 * p2 * x * y
 
     @cached_property
-    def _table(self):
+    def _table(self) -> tuple[np.ndarray, np.ndarray]:
         """Radii on the image plane and on the distorted plane, as far out as the latter grow."""
         inside = np.tan(np.linspace(0, LARGEST_ANGLE, 8192))
         with np.errstate(all="ignore"):
@@ -163,7 +164,7 @@ def inside(source_positions: np.ndarray, width: int, height: int, tolerance: flo
     return (x >= -tolerance) & (x <= width + tolerance) & (y >= -tolerance) & (y <= height + tolerance)
 
 
-def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera, scale: float = 1.0, focal: float | None = None) -> Camera:
+def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera: np.ndarray, scale: float = 1.0, focal: float | None = None) -> Camera:
     """The pinhole camera whose picture replaces the lens', of the source's size times `scale`.
 
     focal   factor on the focal lengths, with the principal point kept; what is then outside the lens' picture is masked.  None: the
@@ -183,12 +184,12 @@ def pinhole_for(lens: Lens, source: Intrinsics, world_to_camera, scale: float = 
 
 @lru_cache(maxsize=256)  # many pictures are taken through one lens
 @np.errstate(over="ignore", invalid="ignore", divide="ignore")
-def _without_border(lens, source):
+def _without_border(lens: Lens, source: Intrinsics) -> tuple[float, float, float, float]:
     """fx, fy, cx, cy of a pinhole of the source's size that shows the largest rectangle between the edges of the lens' picture."""
     fx, fy, cx, cy, width, height = source
     along = np.linspace(0, 1, 257)
 
-    def edge(x, y):
+    def edge(x: ArrayLike, y: ArrayLike) -> np.ndarray:
         pixels = np.stack(np.broadcast_arrays(np.asarray(x, np.float64), np.asarray(y, np.float64)), -1)
         return lens.undistort((pixels - [cx, cy]) / [fx, fy])
 

@@ -69,7 +69,7 @@ def lens_of(given: dict, where: str) -> Lens:
     return Lens.named("opencv" if model == "full" else model, {key: value for key, value in values.items() if key in names})
 
 
-def _focal(given, key, side, where):
+def _focal(given: dict, key: str, side: float, where: str) -> float | None:
     if key not in given:
         return None
     return side / 2 / np.tan(poses.number(given[key], f"{where}: its {key}", 1e-6, np.pi - 1e-6) / 2)

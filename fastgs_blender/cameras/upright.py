@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rigid motions [4, 4] that put a capture's world upright, its ground on the plane z = 0."""
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 
@@ -8,7 +9,7 @@ LEAST_ANGLE = 1e-3
 """Three points whose triangle is flatter than this (the sine of its angle) lie on a line."""
 
 
-def ground_from_points(points, above=None) -> np.ndarray:
+def ground_from_points(points: ArrayLike, above: ArrayLike | None = None) -> np.ndarray:
     """The motion that lays three points [3, 3] on z = 0.
 
     above   a place on the upper side; None: the upper side is where z was larger
@@ -25,7 +26,7 @@ def ground_from_points(points, above=None) -> np.ndarray:
     return _motion(-up if side < 0 else up, middle)
 
 
-def ground_from_cameras(camera_to_world, floor=None) -> np.ndarray:
+def ground_from_cameras(camera_to_world: np.ndarray, floor: float | None = None) -> np.ndarray:
     """The motion that makes z the direction that cameras [n, 4, 4] were held upright by (OpenCV axes), z = 0 at `floor`, a place.
 
     Up is what is most at right angles to all cameras' horizontal axes, as people and tripods hold them level; where these say too
@@ -43,7 +44,7 @@ def ground_from_cameras(camera_to_world, floor=None) -> np.ndarray:
     return _motion(level if clear else mean / np.linalg.norm(mean), place)
 
 
-def _motion(up, place) -> np.ndarray:
+def _motion(up: np.ndarray, place: np.ndarray) -> np.ndarray:
     """Turns `up` [3] (unit) to z about `place` [3], the shortest way, and moves `place` to z = 0."""
     z = np.array([0.0, 0, 1])
     axis, cosine = np.cross(up, z), up @ z

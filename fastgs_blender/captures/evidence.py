@@ -6,6 +6,7 @@ Each has its own measure: what moves in planes through two cameras (clocks/epipo
 the rule is one.
 """
 import numpy as np
+from numpy.typing import ArrayLike
 
 SURE = 3.0
 """A value counts where it is so many standard deviations from 0."""
@@ -13,16 +14,16 @@ AROUND = 2.0
 """Training moves a value that counts within so many standard deviations of it: a poor model is sure of wrong values."""
 
 
-def differs(values, deviations, least) -> np.ndarray:
+def differs(values: ArrayLike, deviations: ArrayLike, least: float) -> np.ndarray:
     """Whether values are surely not 0: by SURE standard deviations, and by more than `least`.
 
     deviations  0 or not finite where nothing is known: such a value is unsure, and never counts
     """
-    values, deviations = np.broadcast_arrays(np.asarray(values, np.float64), np.asarray(deviations, np.float64))
-    known = np.isfinite(values) & np.isfinite(deviations) & (deviations > 0)
-    return known & (np.abs(np.where(known, values, 0)) > np.maximum(least, SURE * np.where(known, deviations, 0)))
+    value, deviation = np.broadcast_arrays(np.asarray(values, np.float64), np.asarray(deviations, np.float64))
+    known = np.isfinite(value) & np.isfinite(deviation) & (deviation > 0)
+    return known & (np.abs(np.where(known, value, 0)) > np.maximum(least, SURE * np.where(known, deviation, 0)))
 
 
-def limits(values, deviations, moves) -> np.ndarray:
+def limits(values: np.ndarray, deviations: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Between which training may move values [2, ...]: where `moves`, AROUND deviations to either side; else they stay 0."""
     return np.stack([np.where(moves, values + side * AROUND * deviations, 0.0) for side in (-1, 1)])

@@ -2,9 +2,11 @@
 """Parts of a rendered capture: camera positions, the subject's coverage of a picture by Cryptomatte, points from depth."""
 import json
 from collections.abc import Iterable
+from pathlib import Path
 
 import numpy as np
 
+from ..cameras.camera import Camera
 from ..rendering.cryptomatte import in_pictures
 
 
@@ -46,7 +48,7 @@ def cover(planes: dict[str, np.ndarray], manifest: str | bytes, names: Iterable[
     return np.clip(share, 0, 1)
 
 
-def unproject(camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
+def unproject(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
     """World places [M, 3] of pixels of a pinhole camera whose depth [h, w] is measured along its axis."""
     z = depth[rows, columns].astype(np.float64)
     x = (columns + 0.5 - camera.cx) / camera.fx * z
@@ -55,7 +57,7 @@ def unproject(camera, depth: np.ndarray, rows: np.ndarray, columns: np.ndarray) 
     return np.stack([x, y, z], 1) @ inverse[:3, :3].T + inverse[:3, 3]
 
 
-def write_points(path, xyz: np.ndarray, rgb: np.ndarray, t: np.ndarray) -> None:
+def write_points(path: Path, xyz: np.ndarray, rgb: np.ndarray, t: np.ndarray) -> None:
     """A points.ply: xyz [P, 3], rgb [P, 3] uint8, t [P] in 0..1, NaN for points that are there all the time."""
     table = np.zeros(len(xyz), [(name, "<f4") for name in "xyz"] + [(name, "u1") for name in ("red", "green", "blue")] + [("t", "<f4")])
     for i, name in enumerate("xyz"):

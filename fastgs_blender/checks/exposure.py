@@ -11,7 +11,7 @@ from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
 from .report import Section, listed
-from .samples import Looked
+from .samples import Looked, Sample
 
 UNEVEN, UNEVEN_WHOLE, TINT = 0.1, 0.35, 0.1
 """Share by which a camera may be brighter than others: by what they see in common, by whole pictures; and its channels by each other."""
@@ -79,12 +79,12 @@ def _colours(matches: Matches, moment: int, view: str, rows: np.ndarray) -> np.n
     return image[rows_, columns].astype(np.float32).mean((1, 2)) / 255
 
 
-def _mean(sample) -> np.ndarray:
+def _mean(sample: Sample) -> np.ndarray:
     rgb = sample.rgb if sample.valid is None else sample.rgb[sample.valid]
     return rgb.reshape(-1, 3).mean(0) / 255
 
 
-def _uneven(section: Section, even, gains, whole) -> None:
+def _uneven(section: Section, even: dict[str, float], gains: dict[str, np.ndarray], whole: set[str]) -> None:
     advice = "Set exposure, gain and white balance by hand, the same on all cameras."
     off = {view: value for view, value in even.items()
            if (max(value, 1 / value) - 1 > UNEVEN_WHOLE if view in whole else

@@ -7,6 +7,7 @@ is not used.
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
+from types import ModuleType
 from typing import Any
 
 import numpy as np
@@ -80,7 +81,7 @@ class Matches:
                 found.append((group[0][0], once))
         return found
 
-    def points(self, tracks) -> tuple[np.ndarray, np.ndarray]:
+    def points(self, tracks: Sequence[tuple[int, dict[str, int]]]) -> tuple[np.ndarray, np.ndarray]:
         """The points [T, 3] of tracks by their calibrated cameras, NaN where their rays do not meet, and their largest errors [T] in
         pixels."""
         xyz, errors = np.full((len(tracks), 3), np.nan), np.full(len(tracks), np.inf)
@@ -150,7 +151,7 @@ def matched(samples: Mapping[str, Sequence], posed: bool, progress: Callable[[fl
     return Matches(found, kept, pairs, len(todo))
 
 
-def _pair(pycolmap, moment, a, b, one, other, posed) -> Pair | None:
+def _pair(pycolmap: ModuleType, moment: int, a: str, b: str, one: Any, other: Any, posed: bool) -> Pair | None:
     rows = features.matches(one, other, np.inf)
     if len(rows) < LEAST:
         return None

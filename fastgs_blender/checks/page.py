@@ -11,6 +11,7 @@ import numpy as np
 from ..util.errors import FastGSError, printable
 from ..util.outputs import replacing
 from .report import SEVERITIES, CheckReport, Picture
+from .section import Finding
 
 PAGE, VALUES = "check.html", "check.json"
 QUALITY = 82
@@ -71,7 +72,7 @@ def html(report: CheckReport) -> str:
             f"<title>Check of {name}</title><style>{STYLE}</style></head><body><main>\n" + "\n".join(body) + "\n</main></body></html>\n")
 
 
-def _finding(finding) -> str:
+def _finding(finding: Finding) -> str:
     return (f'<div class="finding {finding.severity}"><div class="grade">{escape(SEVERITIES[finding.severity])}</div>'
             f'<p>{escape(finding.sentence)}</p><p class="advice">{escape(finding.advice)}</p></div>')
 

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks sharpness: cameras that are out of focus or blurred by motion."""
+from collections.abc import Sequence
+
 import numpy as np
 
 from . import drawing
@@ -37,6 +39,6 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def _middle(values) -> float:
+def _middle(values: Sequence[float]) -> float:
     known = [value for value in values if np.isfinite(value)]
     return float(np.median(known)) if known else np.nan

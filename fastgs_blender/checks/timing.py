@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
 from ..captures.clocks.curves import activity, moving
-from ..captures.clocks.find import LEAST, find_offsets, stated_offsets
+from ..captures.clocks.find import LEAST, Found, find_offsets, stated_offsets
 from ..captures.evidence import differs
 from ..util.errors import FastGSError
 from . import drawing
@@ -47,7 +47,7 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def _judge(section: Section, found, off: dict[str, float]) -> None:
+def _judge(section: Section, found: Found, off: dict[str, float]) -> None:
     for view, deviation in found.clocks.uncertainty.items():
         value = off[view]
         if view in found.lost or not differs(value, deviation, LEAST):

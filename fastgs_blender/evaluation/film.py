@@ -4,6 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from fractions import Fraction
 from pathlib import Path
+from types import ModuleType
+from typing import Any
 
 import numpy as np
 
@@ -52,11 +54,11 @@ def available() -> bool:
     return False
 
 
-def _encoder(av):
+def _encoder(av: ModuleType) -> tuple[str, dict[str, str]] | None:
     return next(((name, options) for name, options in ENCODERS if name in av.codecs_available), None)
 
 
-def _stream(av, container, rate):
+def _stream(av: ModuleType, container: Any, rate: Any) -> Any:
     found = _encoder(av)
     if found is None:
         raise FastGSError("this PyAV writes neither H.264 nor MPEG-4; install another: pip install --upgrade av.")

@@ -23,7 +23,7 @@ class Flip:
             reason = "the package flip_evaluator is not installed (pip install flip-evaluator)"
             raise Unavailable(f"FLIP is not measured, as {reason}") from error
 
-    def __call__(self, picture, truth, valid=None) -> float | None:
+    def __call__(self, picture: np.ndarray, truth: np.ndarray, valid: np.ndarray | None = None) -> float | None:
         test, reference = (np.ascontiguousarray(np.clip(x, 0, 1), np.float32) for x in (picture, truth))
         error = np.asarray(self._package.evaluate(reference, test, "LDR", applyMagma=False)[0], np.float64).reshape(test.shape[:2] + (-1,))
         error = error[..., 0]

@@ -7,6 +7,7 @@ import importlib
 import pickle
 import warnings
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +27,7 @@ class Lpips:
     family hold the first number, which is not comparable with the second.  Raises Unavailable.
     """
 
-    def __init__(self):
+    def __init__(self) -> None:
         try:
             self._torch = importlib.import_module("torch")
             importlib.import_module("torchvision")
@@ -34,7 +35,7 @@ class Lpips:
         except ImportError as error:
             reason = f"the package {error.name} is not installed (pip install lpips torchvision)"
             raise Unavailable(f"LPIPS is not measured, as {reason}") from error
-        linear = Path(package.__file__).parent / "weights" / "v0.1" / "alex.pth"
+        linear = Path(str(package.__file__)).parent / "weights" / "v0.1" / "alex.pth"
         folder = Path(self._torch.hub.get_dir()) / "checkpoints"
         trunk = next(iter(sorted(folder.glob(ALEXNET))), None)
         if trunk is None or not linear.is_file():
@@ -47,7 +48,7 @@ class Lpips:
         self._load(trunk, "features.", self._network.net)
         self._network.eval()
 
-    def _load(self, path, prefix, module):
+    def _load(self, path: Path, prefix: str, module: Any) -> None:
         """Copy a state dict's tensors to the parameters whose names end alike; lpips has cut AlexNet's layers into slices."""
         try:
             state = self._torch.load(path, map_location="cpu", weights_only=True)
@@ -62,7 +63,7 @@ class Lpips:
         if left:
             raise Unavailable(f"LPIPS is not measured, as {path} lacks {left[0]}")
 
-    def __call__(self, picture, truth, valid=None) -> tuple[float | None, float | None]:
+    def __call__(self, picture: np.ndarray, truth: np.ndarray, valid: np.ndarray | None = None) -> tuple[float | None, float | None]:
         if valid is not None:  # the network sees neighbourhoods: what is left out is cut away, to the rectangle around what is valid
             rows, columns = np.flatnonzero(np.any(valid, 1)), np.flatnonzero(np.any(valid, 0))
             if not len(rows):
@@ -75,6 +76,6 @@ class Lpips:
         with self._torch.no_grad():
             return float(self._network(*tensors)), float(self._network(*tensors, normalize=True))
 
-    def _tensor(self, picture):
+    def _tensor(self, picture: np.ndarray) -> Any:
         clipped = np.clip(np.asarray(picture, np.float32), 0, 1)
         return self._torch.from_numpy(np.ascontiguousarray(clipped.transpose(2, 0, 1)[None]))

@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Side-by-side pictures with titles, and errors as a heat map."""
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
 HEAT_TOP = 0.25
@@ -29,7 +32,7 @@ def comparison(truth: np.ndarray, picture: np.ndarray, label: str, error: bool) 
     return _panels(panels, scale=error)
 
 
-def _panels(panels, scale: bool) -> np.ndarray:
+def _panels(panels: Sequence[tuple[str, np.ndarray]], scale: bool) -> np.ndarray:
     from PIL import Image, ImageDraw
 
     height, width = panels[0][1].shape[:2]
@@ -50,7 +53,7 @@ def _panels(panels, scale: bool) -> np.ndarray:
     return np.asarray(sheet)
 
 
-def _write(sheet, title, left, width):
+def _write(sheet: Any, title: str, left: int, width: int) -> None:
     """A title that ends where its panel does."""
     from PIL import Image, ImageDraw
 
@@ -59,5 +62,5 @@ def _write(sheet, title, left, width):
     sheet.paste(strip, (left, 0))
 
 
-def _bytes(picture) -> np.ndarray:
+def _bytes(picture: np.ndarray) -> np.ndarray:
     return np.floor(np.clip(picture, 0, 1) * 255 + 0.5).astype(np.uint8)

@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+from collections.abc import Sequence
 from pathlib import Path
 
 from ..util.errors import printable
@@ -27,11 +28,11 @@ def table(result: dict) -> str:
     width = max(4, *(len(view) for view, _, _ in rows))
     second = max(len(text) for _, text, _ in rows + averages)
 
-    def line(view, frame, cells):
+    def line(view: str, frame: str, cells: Sequence[str]) -> str:
         return f"{view:<{width}}  {frame:>{second}}" + "".join(
             f"{cell:>{max(len(COLUMNS[name][0]), 6) + 2}}" for name, cell in zip(names, cells, strict=True))
 
-    def cells(values):
+    def cells(values: dict) -> list[str]:
         return [f"{values[name]:{COLUMNS[name][1]}}" if values[name] is not None else "-" for name in names]
 
     head = line("view", "frame", [COLUMNS[name][0] for name in names])

@@ -7,6 +7,7 @@ their own normalised time, 0 to 1; how many frames the capture has they do not s
 """
 import math
 import warnings
+from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
@@ -35,6 +36,7 @@ COARSE = "coarse_iteration_"
 ROWS = 1 << 15
 """Gaussians that go through a network at once."""
 Weights = dict[str, np.ndarray]
+Move = Callable[[GaussianModel, float], GaussianModel]
 
 
 class DeformedFormat(SequenceFormat):
@@ -51,7 +53,7 @@ class DeformedFormat(SequenceFormat):
         raise NotImplementedError
 
     @staticmethod
-    def network(weights: Weights, settings: dict) -> None:
+    def network(weights: Weights, settings: dict) -> Move:
         raise NotImplementedError
 
     def sniff(self, head: bytes, path: Path) -> bool:
@@ -73,7 +75,7 @@ class DeformedFormat(SequenceFormat):
         except (KeyError, ValueError, IndexError) as error:
             raise FastGSError(f"{file}: the weights of its network do not fit together ({error}); save it again.") from error
 
-        def compute(t):
+        def compute(t: float) -> GaussianModel:
             with reading(file), np.errstate(all="ignore"):  # what is not finite is found afterwards
                 model = move(still, t)
             require_sound(model.arrays, file)
@@ -91,13 +93,13 @@ class DeformableGaussians(DeformedFormat):
     name = "Deformable-3DGS"
 
     @staticmethod
-    def weights_of(path):
+    def weights_of(path: Path) -> Path:
         iteration = path.absolute().parent
         return iteration.parent.parent / "deform" / iteration.name / "deform.pth"
 
     @staticmethod
-    def network(weights, settings):
-        def move(model, t):
+    def network(weights: Weights, settings: dict) -> Move:
+        def move(model: GaussianModel, t: float) -> GaussianModel:
             parts = [_deform(weights, model.position[at:at + ROWS], t) for at in range(0, len(model), ROWS)]
             place, turn, size = (np.concatenate(each) for each in zip(*parts)) if parts else (model.position, 0, 0)
             scale, rotation = ellipsoids.of_raw_quaternions(rotations.unit(model.rotation.astype(np.float64)) + turn,
@@ -114,20 +116,20 @@ class HexPlaneGaussians(DeformedFormat):
     name = "4DGaussians"
 
     @staticmethod
-    def weights_of(path):
+    def weights_of(path: Path) -> Path:
         return path.with_name("deformation.pth")
 
     def sniff(self, head: bytes, path: Path) -> bool:
         return super().sniff(head, path) and not path.absolute().parent.name.startswith(COARSE)
 
     @staticmethod
-    def network(weights, settings):
+    def network(weights: Weights, settings: dict) -> Move:
         weights = {name.removeprefix("deformation_net."): value for name, value in weights.items()}
         usual = {"no_dx": False, "no_ds": False, "no_dr": False, "no_do": True, "no_dshs": True}
         off = {key: bool(settings.get(key, value)) for key, value in usual.items()}
         heads = [(head, name) for flag, head, name in HEADS if not off[flag] and f"{head}.1.weight" in weights]
 
-        def move(model, t):
+        def move(model: GaussianModel, t: float) -> GaussianModel:
             parts = [_hexplane(weights, model.position[at:at + ROWS], t) for at in range(0, len(model), ROWS)]
             if not parts:
                 return model
@@ -231,7 +233,7 @@ def _sampled(plane: np.ndarray, across: np.ndarray, along: np.ndarray) -> np.nda
     values = plane[0].transpose(1, 2, 0)
     rows, columns = values.shape[:2]
 
-    def cell(x, count):
+    def cell(x: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
         x = np.clip(np.nan_to_num((x + 1) / 2 * (count - 1)), 0, count - 1)
         first = np.minimum(x.astype(int), max(count - 2, 0))
         return first, np.minimum(first + 1, count - 1), (x - first)[:, None]

@@ -13,6 +13,7 @@ exp(-((t - time) / duration)^2 / 2) as long as that is not under a cutoff.
 """
 import struct
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
@@ -91,7 +92,7 @@ def _with_sections(data: bytes, path: Path) -> GaussianModel:
     return _model(records, time_model, cutoff, higher, frames or FRAMES)
 
 
-def _model(records, time_model: int, cutoff: float, higher, frames: int) -> GaussianModel:
+def _model(records: np.ndarray, time_model: int, cutoff: float, higher: list[np.ndarray] | None, frames: int) -> GaussianModel:
     """The model of records [N]; higher: the coefficients [N, 2 b + 1, 3] of the bands of spherical harmonics, or None."""
     time, duration = records["time"].astype(np.float64), records["duration"].astype(np.float64)
     with np.errstate(all="ignore"):
@@ -134,7 +135,7 @@ def _one(data: bytes, sections: np.ndarray, kind: bytes, band: int = 0) -> memor
     return memoryview(data)[int(first["offset"]):int(first["offset"]) + int(first["length"])]
 
 
-def _band(data: bytes, sections: np.ndarray, band: int, palette, n: int) -> np.ndarray:
+def _band(data: bytes, sections: np.ndarray, band: int, palette: Sequence[int], n: int) -> np.ndarray:
     """The coefficients [N, 2 band + 1, 3] of a band of spherical harmonics."""
     entries, kind, _, _ = palette
     terms, code = 2 * band + 1, {1: "<f2", 2: "<f4"}.get(kind)

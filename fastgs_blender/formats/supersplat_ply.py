@@ -46,7 +46,7 @@ def is_dynamic(names: frozenset[str]) -> bool:
     return names.issuperset((*MOTION, *BELL)) and names.isdisjoint(("motion_3", "omega_0"))
 
 
-def _clip_of(header: ply.Header, path) -> dict[str, float]:
+def _clip_of(header: ply.Header, path: Path) -> dict[str, float]:
     """The clip's begin, length and frame rate, as the file or the cfg_args above it states them."""
     comment = next((text for text in header.comments if text.startswith("cfg_args")), None)
     if comment is not None:

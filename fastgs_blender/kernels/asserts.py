@@ -29,22 +29,22 @@ def shapes(*checked: tuple[Any, str]) -> None:
         assert fits, f"an array {list(array.shape)} instead of [{', '.join(wanted.split())}], where {sizes}"
 
 
-def _decoder(arrays) -> list[tuple[Any, str]]:
+def _decoder(arrays: Any) -> list[tuple[Any, str]]:
     """The decoder's matrices among arrays by name, each with its shape."""
     return [(arrays.get(name), shape) for name, shape in zip(DECODER, ("6 12", "3 6"), strict=True)]
 
 
-def surface(triangles) -> None:
+def surface(triangles: Any) -> None:
     """PictureBackend.surface(), and the holdout of draw() and expose()."""
     shapes((triangles, "f 3 3"))
 
 
-def past_splats(points, over) -> None:
+def past_splats(points: Any, over: Any) -> None:
     """PictureBackend.past_splats() and past_triangles()."""
     shapes((points, "p 3"), (over, "p"))
 
 
-def forward(parameters, template: GaussianModel) -> None:
+def forward(parameters: Any, template: GaussianModel) -> None:
     """TrainingBackend.forward()."""
     assert template.arrays.keys() <= parameters.keys(), "parameters of another kind of model"
     for name, array in template.arrays.items():
@@ -52,126 +52,126 @@ def forward(parameters, template: GaussianModel) -> None:
     shapes(*_decoder(parameters))
 
 
-def compare(picture, target, weight, background, least) -> None:
+def compare(picture: Any, target: Any, weight: Any, background: Any, least: Any) -> None:
     """TrainingBackend.compare()."""
     shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (target, "h w 3"), (weight, "h w"), (background, "3"), (least, "h w 3"))
 
 
-def agreement(picture, target, weight, least, background, gain, bias, sides) -> None:
+def agreement(picture: Any, target: Any, weight: Any, least: Any, background: Any, gain: Any, bias: Any, sides: Any) -> None:
     """TrainingBackend.agreement()."""
     compare(picture, target, weight, background, least)
     shapes((gain, "3"), (bias, "3"), (target, "h w 3"), *((side.rgb, "h w 3") for side in sides or ()))
 
 
-def over(picture, background) -> None:
+def over(picture: Any, background: Any) -> None:
     """TrainingBackend.over()."""
     shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (background, "3"))
 
 
-def backward(picture, rgb, alpha, depth, into, statistics, seen) -> None:
+def backward(picture: Any, rgb: Any, alpha: Any, depth: Any, into: Any, statistics: Any, seen: Any) -> None:
     """TrainingBackend.backward()."""
     sums = () if statistics is None else (statistics.gradient, statistics.absolute, statistics.seen, statistics.radius)
     shapes((picture.alpha, "h w"), (rgb, "h w 3"), (alpha, "h w"), (depth, "h w"), (seen, "n"), *((array, "n") for array in sums),
            *((array, "n ...") for name, array in (into or {}).items() if name not in DECODER), *_decoder(into or {}))
 
 
-def steps_since(moved) -> None:
+def steps_since(moved: Any) -> None:
     """TrainingBackend.steps_since()."""
     shapes((moved, "n"))
 
 
-def motion_penalty(norm, motion, gradient, waits) -> None:
+def motion_penalty(norm: Any, motion: Any, gradient: Any, waits: Any) -> None:
     """TrainingBackend.motion_penalty()."""
     shapes((motion, "n k 3"), (gradient, "n k 3"), (waits, "n"), (norm.matrix, "r k"))
     rows = motion.shape[1] if norm.matrix is None else len(norm.matrix)
     shapes((norm.weights, str(3 * rows)))
 
 
-def anchor(features, held, gradient) -> None:
+def anchor(features: Any, held: Any, gradient: Any) -> None:
     """TrainingBackend.anchor()."""
     shapes((features, "n f"), (held, "n f"), (gradient, "n f"))
 
 
-def mcmc_penalty(parameters, gradients) -> None:
+def mcmc_penalty(parameters: Any, gradients: Any) -> None:
     """TrainingBackend.mcmc_penalty()."""
     shapes(*((arrays[name], wanted) for arrays in (parameters, gradients) for name, wanted in (("opacity", "n"), ("scale", "n 3"))))
 
 
-def mcmc_noise(parameters) -> None:
+def mcmc_noise(parameters: Any) -> None:
     """TrainingBackend.mcmc_noise()."""
     shapes(*((parameters[name], wanted) for name, wanted in
              (("opacity", "n"), ("position", "n 3"), ("scale", "n 3"), ("rotation", "n 4"))))
 
 
-def adam(tensors, moved) -> None:
+def adam(tensors: Any, moved: Any) -> None:
     """TrainingBackend.adam()."""
     for value, gradient, mean, square, count, _, shared in tensors:
         same = " ".join(["n", *map(str, value.shape[1:])])
         shapes((value, same), (gradient, same), (mean, same), (square, same), (count, "n"), (None if shared else moved, "n"))
 
 
-def nearest(points, turns) -> None:
+def nearest(points: Any, turns: Any) -> None:
     """TrainingBackend.nearest()."""
     shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
-def posed(index) -> None:
+def posed(index: Any) -> None:
     """PictureBackend.posed()."""
     shapes((index, "m"))
 
 
-def thinnest(places, spreads, weights) -> None:
+def thinnest(places: Any, spreads: Any, weights: Any) -> None:
     """PictureBackend.thinnest()."""
     shapes((places, "n 3"), (spreads, "n 6"), (weights, "n"))
 
 
-def carve(depths, slopes, poses, low) -> None:
+def carve(depths: Any, slopes: Any, poses: Any, low: Any) -> None:
     """SurfaceBackend.carve()."""
     shapes((depths, "v h w"), (slopes, "v h w"), (poses, "v 3 4"), (low, "3"))
 
 
-def around(points, normals, places, axes, weights) -> None:
+def around(points: Any, normals: Any, places: Any, axes: Any, weights: Any) -> None:
     """SurfaceBackend.around()."""
     shapes((points, "p 3"), (normals, "p 3"), (places, "n 3"), (axes, "n 3"), (weights, "n"))
 
 
-def affine_weights(points, places, number, weight, reaches) -> None:
+def affine_weights(points: Any, places: Any, number: Any, weight: Any, reaches: Any) -> None:
     """SurfaceBackend.affine_weights()."""
     shapes((points, "v 3"), (places, "n 3"), (number, "v k"), (weight, "v k"), (reaches, "v"))
 
 
-def places(position, motion, weights, wanted, out) -> None:
+def places(position: Any, motion: Any, weights: Any, wanted: Any, out: Any) -> None:
     """SurfaceBackend.places()."""
     shapes((position, "n 3"), (motion, "n k 3"), (weights, "n k" if len(weights) > 1 else "1 k"), (wanted, "n"), (out, "n 3"))
 
 
-def weighted_sums(values, number, weight) -> None:
+def weighted_sums(values: Any, number: Any, weight: Any) -> None:
     """SurfaceBackend.weighted_sums()."""
     shapes((values, "n d"), (number, "v k"), (weight, "v k"))
 
 
-def support(opacity, number, weight, before) -> None:
+def support(opacity: Any, number: Any, weight: Any, before: Any) -> None:
     """SurfaceBackend.support()."""
     shapes((opacity, "n"), (number, "v k"), (weight, "v k"), (before, "v k"))
 
 
-def smoothed(values, first) -> None:
+def smoothed(values: Any, first: Any) -> None:
     """SurfaceBackend.smoothed()."""
     shapes((values, "v d"), (first, "e"))
 
 
-def project_points(xyz) -> None:
+def project_points(xyz: Any) -> None:
     """TrainingBackend.project_points()."""
     shapes((xyz, "p 3"))
 
 
-def sweep(image, others, planes) -> None:
+def sweep(image: Any, others: Any, planes: Any) -> None:
     """TrainingBackend.sweep()."""
     shapes((image, "h w 3"), (planes, "d 3"))
     for other, turn, shift in others:
         shapes((other, "a b 3"), (turn, "3 3"), (shift, "3"))
 
 
-def resample(image, positions) -> None:
+def resample(image: Any, positions: Any) -> None:
     """TrainingBackend.resample()."""
     shapes((image, "a b c"), (positions, "h w 2"))

@@ -18,6 +18,7 @@ from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from ..cameras.camera import Camera
 from ..model.gaussians import GaussianModel
@@ -167,7 +168,7 @@ class TrainingBackend(PictureBackend, Protocol):
     template: a model of the same kinds (bases, appearance, rasteriser constants), whose own arrays are ignored.
     """
 
-    def zeros(self, shape: tuple[int, ...], dtype=np.float32) -> Array:
+    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Array:
         """An array [...] of zeros, of this shape."""
 
     def read(self, *arrays: Array) -> list[np.ndarray]:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Crops: a Gaussian is drawn by how far its centre lies within the boxes, ellipsoids and closed meshes that leave or remove it."""
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -42,7 +43,7 @@ class Crop:
         shape = self.shape.digest if isinstance(self.shape, Volume) else self.shape
         return np.asarray(self.matrix, np.float64).tobytes(), bool(self.remove), shape, float(self.soft)
 
-    def __eq__(self, other):
+    def __eq__(self, other: object) -> bool:
         return isinstance(other, Crop) and self._key == other._key
 
     def __hash__(self) -> int:
@@ -71,7 +72,7 @@ def crops_between(before: tuple[Crop, ...], after: tuple[Crop, ...], share: floa
                  for crop, a, b in zip(near, before, after))
 
 
-def crop_arrays(crops) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
+def crop_arrays(crops: Sequence[Crop]) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, np.ndarray]:
     """What kernels take; shapes to keep come first.
 
     rows of the matrices [B, 3, 4] float64, remove [B] bool, kinds [B] int64 (BOX, SPHERE, VOLUME + place), soft [B] float64, and
@@ -87,7 +88,7 @@ def crop_arrays(crops) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray, 
             np.array([crop.soft for crop in ordered], np.float64), depths)
 
 
-def crop_share(crops, position: np.ndarray) -> np.ndarray:
+def crop_share(crops: Sequence[Crop], position: np.ndarray) -> np.ndarray:
     """What the crops leave of the opacity of Gaussians at positions [M, 3] in the model's space: [M], 0..1."""
     keep = [crop for crop in crops if not crop.remove]
     share = np.zeros(len(position)) if keep else np.ones(len(position))
@@ -99,12 +100,12 @@ def crop_share(crops, position: np.ndarray) -> np.ndarray:
     return share
 
 
-def kept_by(crops, position: np.ndarray) -> np.ndarray:
+def kept_by(crops: Sequence[Crop], position: np.ndarray) -> np.ndarray:
     """Which positions [M, 3] in the model's space the crops leave, wholly or in part: [M] bool."""
     return crop_share(crops, position) > 0
 
 
-def cropped(model: GaussianModel, crops, per_frame: int = 2) -> GaussianModel:
+def cropped(model: GaussianModel, crops: Sequence[Crop], per_frame: int = 2) -> GaussianModel:
     """The model of those Gaussians that the crops leave at a moment at which they can be seen.
 
     Moments are taken from the whole clip, per_frame of them in each frame.  Soft edges become sharp where they end.

@@ -5,6 +5,7 @@ A level is a picture of four channels: the number of the object that covers most
 next.  Blender and others call the levels CryptoObject00, CryptoObject01 and so on.
 """
 import json
+from collections.abc import Iterable
 
 import numpy as np
 
@@ -15,7 +16,7 @@ PAIRS = 2
 
 def murmur3(data: bytes) -> int:
     """MurmurHash3_x86_32 with the seed 0, as Cryptomatte names objects (Austin Appleby, public domain description)."""
-    def mixed(k):
+    def mixed(k: int) -> int:
         k = k * 0xcc9e2d51 & 0xffffffff
         k = (k << 15 | k >> 17) & 0xffffffff
         return k * 0x1b873593 & 0xffffffff
@@ -63,7 +64,7 @@ def level(shares: np.ndarray, names: list[str], index: int) -> np.ndarray:
     return out
 
 
-def metadata(names, layer: str = LAYER) -> dict[str, str]:
+def metadata(names: Iterable[str], layer: str = LAYER) -> dict[str, str]:
     """The attributes of a file whose channels `layer`00.r and so on hold levels: the names and how they became numbers."""
     manifest = json.dumps({name: f"{bits_of(name):08x}" for name in names}, separators=(",", ":"), ensure_ascii=False)
     values = {"name": layer, "hash": "MurmurHash3_32", "conversion": "uint32_to_float32", "manifest": manifest}

@@ -2,11 +2,13 @@
 """Filters hide Gaussians of a model by their properties (size, opacity, speed, colour ...), the same ones at all times."""
 import itertools
 import threading
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..cameras.viewpoints import camera_of
 from ..model.appearance import SH, SH_C0, momentary
@@ -50,15 +52,15 @@ class Filter:
         return (value >= self.low) & (value <= self.high)
 
 
-def _size(model, _):
+def _size(model: GaussianModel, _: Any) -> np.ndarray:
     return np.exp(model.scale.astype(np.float64).max(1))
 
 
-def _opacity(model, _):
+def _opacity(model: GaussianModel, _: Any) -> np.ndarray:
     return sigmoid(model.opacity)
 
 
-def _speed(model, _):
+def _speed(model: GaussianModel, _: Any) -> np.ndarray:
     total, weight = np.zeros(len(model)), np.zeros(len(model))
     for t, sigma in _moments(model):
         _, velocity = model.basis.evaluate(model.motion, t, model.mu_tau.astype(np.float64))
@@ -67,11 +69,11 @@ def _speed(model, _):
     return total / np.maximum(weight, 1e-12) / max(model.clip.duration, 1e-9)
 
 
-def _lifetime(model, _):
-    return sum(sigma >= model.raster.alpha_cut for _, sigma in _moments(model)) / TIMES * model.clip.duration
+def _lifetime(model: GaussianModel, _: Any) -> np.ndarray:
+    return np.sum([sigma >= model.raster.alpha_cut for _, sigma in _moments(model)], 0) / TIMES * model.clip.duration
 
 
-def _moments(model):
+def _moments(model: GaussianModel) -> Iterator[tuple[float, np.ndarray]]:
     """Yields times of the clip, and the opacities [N] of the Gaussians then."""
     for t in (np.arange(TIMES) + 0.5) / TIMES:
         yield t, opacities_at(model, t)
@@ -83,11 +85,11 @@ def base_colours(model: GaussianModel) -> np.ndarray:
     return 0.5 + SH_C0 * base if isinstance(momentary(model.appearance), SH) else base
 
 
-def _colour(model, colour):
+def _colour(model: GaussianModel, colour: ArrayLike) -> np.ndarray:
     return np.abs(base_colours(model) - colour).max(1)
 
 
-def _neighbours(model, _):
+def _neighbours(model: GaussianModel, _: Any) -> np.ndarray:
     position = np.nan_to_num(positions_at(model, 0.5))
     low, high = np.percentile(position, (5, 95), axis=0) if len(position) else (np.zeros(3), np.ones(3))
     size = max(CELL * (high - low).max(), 1e-12)
@@ -101,7 +103,7 @@ def _neighbours(model, _):
     return (total[own.ravel()] - 1).astype(np.float64)
 
 
-def _cameras(model, _):
+def _cameras(model: GaussianModel, _: Any) -> np.ndarray:
     """How many of the capture's cameras see each Gaussian [N], at the time at which it is most opaque."""
     best, count = np.full(len(model), -1.0), np.zeros(len(model))
     cameras = [camera_of(viewpoint) for viewpoint in model.surroundings.cameras]
@@ -113,7 +115,7 @@ def _cameras(model, _):
     return count
 
 
-def _in_picture(camera, position):
+def _in_picture(camera: Any, position: np.ndarray) -> np.ndarray:
     """Whether a camera has points [M, 3] in its picture: [M] bool."""
     view = position @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     at = camera.pixels(view)
@@ -140,7 +142,7 @@ _hidden: WeakKeyDictionary = WeakKeyDictionary()
 _lock = threading.Lock()
 
 
-def values(model: GaussianModel, kind: str, colour=(0.0, 0.0, 0.0)) -> np.ndarray:
+def values(model: GaussianModel, kind: str, colour: Sequence[float] = (0.0, 0.0, 0.0)) -> np.ndarray:
     """The numbers [N] float32 that filters of a kind compare with their limits; cached as long as the model lives."""
     key = kind, tuple(colour) if kind == "COLOUR" else ()
     with _lock:
@@ -173,7 +175,7 @@ def parting(value: np.ndarray) -> float:
     return float(0.5 * (edges[best[0] + 1] + edges[best[-1] + 1]))
 
 
-def hidden(model: GaussianModel, filters, mask: str = "", density: float = 1.0) -> np.ndarray:
+def hidden(model: GaussianModel, filters: Sequence[Any], mask: str = "", density: float = 1.0) -> np.ndarray:
     """Which Gaussians filters, a mask and a density hide: [N] bool, or [0] where there are none; the last answer is kept while the
     model lives.  Of a density below 1 the most important Gaussians are left (importance.py).
     """

@@ -16,6 +16,7 @@ so that contrast leaves middle grey, and hue and saturation leave luminance and 
 linear ones and back.  Colours of Gaussians are changed before they are blended; those of a decoder are changed where it made them.
 """
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -60,7 +61,7 @@ LOOK_NUMBERS = 20
 """Length of the row: five texels."""
 
 
-def look_numbers(settings, colour_space: str) -> np.ndarray:
+def look_numbers(settings: Any, colour_space: str) -> np.ndarray:
     """The row [LOOK_NUMBERS] float64 of an ObjectSettings, for a model of a colour space ("srgb" or "linear")."""
     row = np.zeros(LOOK_NUMBERS)
     row[Look.OPACITY] = settings.opacity
@@ -76,7 +77,7 @@ def look_numbers(settings, colour_space: str) -> np.ndarray:
     return row
 
 
-def _matrix(settings) -> np.ndarray:
+def _matrix(settings: Any) -> np.ndarray:
     grey = np.outer(np.ones(3), LUMINANCE)
     chroma = np.eye(3) - grey
     c, s = np.cos(settings.hue), np.sin(settings.hue) / np.sqrt(3)

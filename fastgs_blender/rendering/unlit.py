@@ -15,6 +15,7 @@ be told from the colour of things: E is 1, in the mean of the channels, for thos
 """
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any
 from weakref import WeakKeyDictionary
@@ -132,7 +133,7 @@ def _look(model: GaussianModel, camera: Camera, t: float, backend: Any) -> tuple
     return colour, total / np.maximum(length, 1e-9), there
 
 
-def _pairs(colour, normals, there, step: int):
+def _pairs(colour: np.ndarray, normals: np.ndarray, there: np.ndarray, step: int) -> Iterator[tuple[np.ndarray, ...]]:
     """Of pixels so far apart: (differences of the harmonics [P, 8], of the logarithms of colour [P, 3], weights [P])."""
     logs, chroma = np.log(np.maximum(colour, DARK)), colour / np.maximum(colour.sum(-1, keepdims=True), 1e-9)
     harmonics, (height, width) = basis(normals), there.shape

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Volumes: the inside of a closed mesh as a grid of depths under its surface."""
 import hashlib
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -57,7 +58,7 @@ def mesh_volume(points: np.ndarray, triangles: np.ndarray, low: np.ndarray, high
     return Volume(np.where(_inside(corners, step), distance, -distance).astype(np.float32))
 
 
-def _near_surface(corners, stretch, step) -> np.ndarray:
+def _near_surface(corners: np.ndarray, stretch: np.ndarray, step: float) -> np.ndarray:
     """The nearest triangle [R, R, R] of nodes that are next to the surface; -1 elsewhere."""
     squared, nearest = np.full(RESOLUTION**3, 3 * (stretch * step).max() ** 2), np.full(RESOLUTION**3, -1)
     first = np.clip(np.floor((corners.min(1) + 1) / step).astype(np.int64) - 1, 0, RESOLUTION - 1)
@@ -73,7 +74,7 @@ def _near_surface(corners, stretch, step) -> np.ndarray:
     return nearest.reshape((RESOLUTION,) * 3)
 
 
-def _nodes(first, count):
+def _nodes(first: np.ndarray, count: np.ndarray) -> Iterator[tuple[slice, np.ndarray, tuple[np.ndarray, ...]]]:
     """Yields (slice of the rows, row of each node within it, the node's indices (x, y, z)) for boxes of `count` nodes from `first` on."""
     sizes = count.prod(1)
     start = 0
@@ -105,7 +106,7 @@ def _distance2(p: np.ndarray, corners: np.ndarray) -> np.ndarray:
     return np.where(over, np.minimum(out, ((p - a) * normal).sum(1) ** 2 / length2), out)
 
 
-def _nearest(found, size) -> np.ndarray:
+def _nearest(found: np.ndarray, size: np.ndarray) -> np.ndarray:
     """What is found [R, R, R] at the nearest node where it is not -1, axis by axis; size [3] of a cell."""
     squared = np.where(found >= 0, 0.0, np.inf)
     for axis in range(3):
@@ -121,7 +122,7 @@ def _nearest(found, size) -> np.ndarray:
     return np.maximum(found, 0)
 
 
-def _inside(corners, step) -> np.ndarray:
+def _inside(corners: np.ndarray, step: float) -> np.ndarray:
     """Which nodes [R, R, R] a line along z enters the mesh before more often than it leaves it: an odd number of crossings."""
     crossings = np.zeros((RESOLUTION, RESOLUTION, RESOLUTION + 1), np.int64)
     first = np.clip(np.ceil((corners[..., :2].min(1) + 1) / step - 1e-9).astype(np.int64), 0, RESOLUTION)

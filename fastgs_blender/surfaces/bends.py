@@ -38,7 +38,7 @@ def tangent_frames(surface: MovingSurface, samples: SurfaceSamples, turning: Tur
         pairs.append((i, j, np.exp(-0.5 * (away[0] ** 2 + away[1] ** 2))))
         total += np.bincount(i, pairs[-1][2], n)
 
-    def mean(values):
+    def mean(values: np.ndarray) -> np.ndarray:
         """Of values [N, D], over each sample and its neighbours."""
         found = [own + sum(np.bincount(i, weight * own[j], n) for i, j, weight in pairs) for own in np.ascontiguousarray(values.T)]
         return np.stack(found, 1) / total[:, None]
@@ -59,7 +59,7 @@ def offset_paths(surface: MovingSurface, samples: SurfaceSamples, paths: Paths, 
     """The paths' constants [N, 3] and coefficients [N, K, 3] of samples that are so far along the normals of their triangles."""
     fit, constant, coefficients = Fit.of(paths.basis, t), paths.constant.copy(), paths.coefficients.copy()
 
-    def piece(start, stop):
+    def piece(start: int, stop: int) -> None:
         used, row = np.unique(samples.triangle[start:stop], return_inverse=True)
         normal = np.moveaxis(fit.coefficients(_normals(surface.corners(used))), 0, 1)
         moved = normal[row] * offset[start:stop, None, None]

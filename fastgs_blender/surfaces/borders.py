@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds where a surface ends or bends sharply, and each sample's distance from there: a round Gaussian would stick out."""
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -47,7 +48,7 @@ class Edges:
         first = self.first[self.count == 2]
         return self.side[first], self.side[first + 1]
 
-    def mirrored(self, one, other, shares) -> list[np.ndarray]:
+    def mirrored(self, one: np.ndarray, other: np.ndarray, shares: Sequence[float]) -> list[np.ndarray]:
         """Where on the sides `other` the places lie that are the given shares of the sides `one` away from their begin."""
         opposite = self.start[one] != self.start[other]
         return [np.where(opposite, 1 - share, share) for share in shares]

@@ -5,7 +5,9 @@ Carving keeps thin sheets, which an average over views from both sides would dis
 their surface (as in Gaussian Opacity Fields, Yu et al. 2024).  Its skin lies a share of a voxel too far out, so that sheets have an inside.
 Then each vertex goes where the views that it faces see the surface, on average.
 """
+from collections.abc import Callable
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -46,7 +48,7 @@ class Surface:
         return Surface(self.vertices[used], np.searchsorted(used, quads), self.colours[used], self.seen[used])
 
 
-def carved(subject: Subject, views: list[View], detail: int, smoothing: int, least: float, progress) -> Surface:
+def carved(subject: Subject, views: list[View], detail: int, smoothing: int, least: float, progress: Callable[[float], Any]) -> Surface:
     """The surface of what the views see.
 
     detail     voxels along the subject's longest side
@@ -84,7 +86,8 @@ def _drawn(surface: Surface, views: list[View], voxel: float, smoothing: int, ha
     return replace(surface, vertices=x, colours=_filled(colour, seen, mesh), seen=seen)
 
 
-def _seen_from(x, normal, views: list[View], voxel: float, coloured: bool):
+def _seen_from(x: np.ndarray, normal: np.ndarray, views: list[View], voxel: float,
+               coloured: bool) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(how far behind each vertex the surface lies, along its normal and negative [V]; by how many views [V]; colours [V, 3])."""
     total, weights, count, sharpness = np.zeros((4, len(x)))
     colour = np.zeros((len(x), 3))

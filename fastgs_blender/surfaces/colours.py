@@ -47,12 +47,12 @@ class Painted:
     distance: np.ndarray
     seam: np.ndarray
 
-    def take(self, which) -> Painted:
+    def take(self, which: np.ndarray) -> Painted:
         """Those of some of the samples."""
         return Painted(self.rgba[which], self.across[which], self.distance[which], self.seam)
 
 
-def paint(colours, corners: np.ndarray, edges: Edges, samples: SurfaceSamples, for_samples: bool) -> Painted:
+def paint(colours: Any, corners: np.ndarray, edges: Edges, samples: SurfaceSamples, for_samples: bool) -> Painted:
     """What bake() takes as `colours`, at the samples.
 
     corners      [T, 3 corners, 3] of the triangles in the pose of reference
@@ -81,7 +81,7 @@ def paint(colours, corners: np.ndarray, edges: Edges, samples: SurfaceSamples, f
     return Painted(rgba, across, distance, seam)
 
 
-def _footprints(colours: Colours, corners: np.ndarray, samples: SurfaceSamples):
+def _footprints(colours: Colours, corners: np.ndarray, samples: SurfaceSamples) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(colours [N, C], across [N, 3], distance [N]): the mean around each sample, on its own side of an edge of colour; see Painted.
 
     The places around a sample do not leave a large triangle; a small one is taken as a piece of a smooth surface that goes on around it.
@@ -115,7 +115,8 @@ def _footprints(colours: Colours, corners: np.ndarray, samples: SurfaceSamples):
     return values, across, distance
 
 
-def _nearest_edge(colours, corners, axes, samples, rows, centre, around, edge):
+def _nearest_edge(colours: Colours, corners: np.ndarray, axes: np.ndarray, samples: SurfaceSamples, rows: np.ndarray, centre: np.ndarray,
+                  around: np.ndarray, edge: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """(direction [n, 3], distance [n]): a line through the places where the colour changes on the ways to places around."""
     ways, which = np.nonzero(edge)
     triangle, start = samples.triangle[rows][which], samples.weights[rows][which]

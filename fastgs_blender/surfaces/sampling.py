@@ -64,7 +64,7 @@ def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: 
     return SurfaceSamples(candidates[keep], weights[keep], float(np.sqrt(area.sum() / count)))
 
 
-def _stratified(centres, area, count):
+def _stratified(centres: np.ndarray, area: np.ndarray, count: int) -> tuple[np.ndarray, np.ndarray]:
     order = np.argsort(_morton(centres), kind="stable")
     total = np.cumsum(area[order])
     strata = (np.arange(count) + 0.5) / count * total[-1]
@@ -75,7 +75,7 @@ def _stratified(centres, area, count):
     return triangle, np.stack([1 - u, u * (1 - v), u * v], 1)
 
 
-def _morton(points) -> np.ndarray:
+def _morton(points: np.ndarray) -> np.ndarray:
     """Place of each point on a space-filling curve."""
     low, extent = points.min(0), max(np.ptp(points, axis=0).max(), 1e-30)
     cell = ((points - low) / extent * 1023).astype(np.int64)
@@ -85,7 +85,7 @@ def _morton(points) -> np.ndarray:
     return code
 
 
-def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
+def _eliminate(position: np.ndarray, normal: np.ndarray, stretch: np.ndarray, count: int, area: float) -> np.ndarray:
     """Indices of the `count` points that are left when the most crowded go first."""
     m = len(position)
     if count >= m:
@@ -109,7 +109,7 @@ def _eliminate(position, normal, stretch, count, area) -> np.ndarray:
     return np.flatnonzero(alive)
 
 
-def neighbours(position, normal, stretch, radius):
+def neighbours(position: np.ndarray, normal: np.ndarray, stretch: np.ndarray, radius: float) -> tuple[np.ndarray, ...]:
     """Pairs i, j of points on the same side of a surface nearer than radius, and how much they crowd each other, 0..1.
 
     position, normal [M, 3]; stretch [M] multiplies distances.  Points of very different stretch are never neighbours.

@@ -59,7 +59,7 @@ def tangents(corners: np.ndarray, pose: int, along: np.ndarray | None = None, wh
     return Tangents(rotations.one_sign(q), np.where(flat[which, None], 1.0, stretch))
 
 
-def plane(edges: np.ndarray):
+def plane(edges: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """(axes, inverse, flat) of the planes of triangles with edges [U, 2, 3].
 
     axes     [U, 2, 3]  unit vectors
@@ -80,7 +80,7 @@ def plane(edges: np.ndarray):
     return np.stack([x, rest / np.where(flat, 1, by)[:, None]], 1), inverse, flat
 
 
-def _most_stretched(edges, inverse):
+def _most_stretched(edges: np.ndarray, inverse: np.ndarray) -> np.ndarray:
     """The unit direction [U, 2] in the plane of reference that is stretched most at any time."""
     deformed = np.einsum("ukm,sukd->sumd", inverse, edges)
     c = np.einsum("sumd,sund->sumn", deformed, deformed)  # right Cauchy-Green tensor
@@ -91,7 +91,7 @@ def _most_stretched(edges, inverse):
     return np.stack([np.cos(angle), np.sin(angle)], -1)
 
 
-def _fill(q, valid):
+def _fill(q: np.ndarray, valid: np.ndarray) -> np.ndarray:
     """Quaternions [S, U, 4]; where not valid [S, U] those of the nearest valid time before, else after, else none at all."""
     if valid.all():
         return q

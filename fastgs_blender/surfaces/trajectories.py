@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
@@ -84,7 +85,7 @@ class MovingSurface:
         parts = [np.unique(self.triangles[self.part == p]) for p in range(self.part.max() + 1)]
         return np.array([np.median([np.ptp(self.positions[s][part], axis=0).max() for s in self._key_times]) for part in parts])
 
-    def corners(self, triangles, times=slice(None)) -> np.ndarray:
+    def corners(self, triangles: Any, times: slice | int = slice(None)) -> np.ndarray:
         """Corners [S, n, 3 corners, 3] float64 of some triangles."""
         return self.positions[times][..., self.triangles[triangles], :].astype(np.float64)
 
@@ -92,11 +93,11 @@ class MovingSurface:
         """Evenly spread places, dense enough for the largest area that each triangle ever has."""
         return sample_surface(self.positions[self.pose], self.triangles, count, self.areas.max(0))
 
-    def follow(self, samples: SurfaceSamples, which) -> np.ndarray:
+    def follow(self, samples: SurfaceSamples, which: Any) -> np.ndarray:
         """Paths [S, n, 3] of some of the samples."""
         return np.einsum("snkd,nk->snd", self.corners(samples.triangle[which]), samples.weights[which])
 
-    def painted(self, colours, samples: SurfaceSamples, for_samples: bool) -> Painted:
+    def painted(self, colours: Any, samples: SurfaceSamples, for_samples: bool) -> Painted:
         """The samples' colours; see colours.paint()."""
         corners = self.corners(slice(None), self.pose)
         return paint(colours, corners, mesh_edges(self.positions[self.pose], self.triangles), samples, for_samples)
@@ -171,20 +172,20 @@ def choose_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray,
     probes = _probes(part, PROBES)
     paths, part = surface.follow(samples, probes), part[probes]
 
-    def distances(fit):
+    def distances(fit: Callable[[np.ndarray], tuple]) -> np.ndarray:
         return lengths(fit(paths)[1] - paths)
 
-    def means(distance):
+    def means(distance: np.ndarray) -> np.ndarray:
         return np.bincount(part, distance.mean(0), len(sizes)) / np.maximum(np.bincount(part, minlength=len(sizes)), 1)
 
-    def tails(distance):
+    def tails(distance: np.ndarray) -> np.ndarray:
         return np.array([np.percentile(distance[:, part == p], TAIL) if (part == p).any() else 0.0 for p in range(len(sizes))])
 
-    def error(fit):
+    def error(fit: Callable[[np.ndarray], tuple]) -> float:
         distance = distances(fit)
         return max((means(distance) / allowed).max(), (tails(distance) / (MARGIN * tail * sizes)).max())
 
-    def steps(fit):
+    def steps(fit: Callable[[np.ndarray], tuple]) -> float:
         off = fit(paths)[1] - paths
         return (means(lengths(off[lag:] - off[:-lag])) / (STEP * sizes)).max()
 
@@ -215,7 +216,7 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, fr
     distance = np.empty((len(measured), len(t)), np.float32)
     bound = np.empty(len(samples), np.float32)
 
-    def piece(start, stop):
+    def piece(start: int, stop: int) -> None:
         # A fit is linear, so that it commutes with the mean of a triangle's corners: each vertex is fitted once.
         vertices, corner = np.unique(surface.triangles[samples.triangle[start:stop]], return_inverse=True)
         paths = surface.positions[:, vertices].astype(np.float64)
@@ -291,7 +292,7 @@ def fit_turning(surface: MovingSurface, samples: SurfaceSamples, painted: Painte
     coefficients = np.empty((len(triangles), basis.terms, 4), np.float32)
     stretch = np.empty((len(triangles), 2))
 
-    def piece(start, stop):
+    def piece(start: int, stop: int) -> float:
         used, which = np.unique(triangles[start:stop], return_inverse=True)
         frames = tangents(surface.corners(used), surface.pose, across[start:stop], which)
         solution = fit.coefficients(frames.rotation)
@@ -321,7 +322,7 @@ def _alike(triangle: np.ndarray, across: np.ndarray) -> tuple[np.ndarray, np.nda
     return order[new], row
 
 
-def _angles(fitted, truth) -> np.ndarray:
+def _angles(fitted: np.ndarray, truth: np.ndarray) -> np.ndarray:
     """Angles between rotations given as quaternions [..., 4], of which the fitted are not of unit length."""
     length = np.maximum(lengths(fitted), 1e-30)
     return 2 * np.arccos(np.clip(np.abs(np.einsum("...d,...d->...", fitted, truth)) / length, 0, 1))

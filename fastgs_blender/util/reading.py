@@ -27,7 +27,7 @@ DAMAGED = "the file is damaged or of another kind, so copy or export it again"
 
 
 @contextmanager
-def reading(path: str | os.PathLike, advice: str = DAMAGED) -> Iterator[None]:
+def reading(path: object, advice: str = DAMAGED) -> Iterator[None]:
     """Turn whatever fails in the block into FastGSError that names `path`, gives the reason and ends with the advice.
 
     A FastGSError passes through as it is: it says more.  Libraries that parse files raise nearly anything on damaged ones, so

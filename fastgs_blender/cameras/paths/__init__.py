@@ -18,7 +18,7 @@ FORMATS: tuple[ModuleType, ...] = (fastgs, nerfstudio, ngp, supersplat, inria, c
 __all__ = ["FORMATS", "CameraPath", "Picture", "format_named", "load_path", "save_path"]
 
 
-def load_path(file, picture: Picture | None = None) -> CameraPath:
+def load_path(file: str | os.PathLike, picture: Picture | None = None) -> CameraPath:
     """The camera path in a file, or in a folder with a COLMAP model.
 
     picture  size and frame rate for the formats that state none (instant-ngp, SuperSplat)
@@ -57,7 +57,7 @@ def format_named(name: str) -> ModuleType:
     raise FastGSError(f"there is no camera path format {name!r}; there are {', '.join(module.name for module in FORMATS)}.")
 
 
-def save_path(path: CameraPath, file, name: str = "fastgs", picture: Picture | None = None) -> None:
+def save_path(path: CameraPath, file: str | Path, name: str = "fastgs", picture: Picture | None = None) -> None:
     """Write a camera path in the format of that name, aside and renamed.
 
     A LossWarning says what the format cannot hold.  Raises FastGSError where the file cannot be written.

@@ -11,7 +11,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.stated_paths import below
 from ..colmap_files import MODELS, has_model, read_images, read_points
-from .base import CameraPath, frame_names, pinholes, warn_of_rate
+from .base import CameraPath, Picture, frame_names, pinholes, warn_of_rate
 
 name, label = "colmap", "COLMAP model (folder)"
 PLACES = ("", "sparse/0", "sparse")
@@ -27,7 +27,7 @@ def folder_of(path: Path) -> Path | None:
     return next((path / place for place in PLACES if has_model(path / place)), None)
 
 
-def load(folder: Path, values, picture) -> CameraPath:
+def load(folder: Path, values: None, picture: Picture) -> CameraPath:
     images = read_images(folder)
     return CameraPath(pinholes([(image.camera.lens, image.camera.intrinsics, image.world_to_camera) for image in images], label),
                       names=[image.name for image in images])
@@ -41,7 +41,7 @@ def _plain(name: str) -> bytes:
     return name.encode("utf-8", "surrogateescape")
 
 
-def save(path: CameraPath, folder, picture) -> None:
+def save(path: CameraPath, folder: str | Path, picture: Picture) -> None:
     folder = Path(folder)
     if folder.is_file():
         raise FastGSError(f"{folder}: a COLMAP model is a folder; give the name of one.")

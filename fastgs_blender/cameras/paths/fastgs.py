@@ -6,23 +6,24 @@
 
 Optional: each frame's "name".  Optional "keys" are frames with a "frame" more: their number from 0.
 """
+from pathlib import Path
 from reprlib import repr as shortened
 
 from ...model.gaussians import AXES
 from ...util.errors import FastGSError
 from .. import poses
 from ..camera import Camera
-from .base import CameraPath, check_frames, named, names_of, write_json
+from .base import CameraPath, Picture, check_frames, named, names_of, write_json
 
 name, label = "fastgs", "FAST-GS camera path"
 FORMAT, VERSION = "fast-gs camera path", 1
 
 
-def recognises(values) -> bool:
+def recognises(values: object) -> bool:
     return isinstance(values, dict) and values.get("format") == FORMAT
 
 
-def load(file, values, picture) -> CameraPath:
+def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     version = poses.whole(values.get("version", VERSION), f"{file}: its version", 1, 10**6)
     if version > VERSION:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
@@ -40,7 +41,7 @@ def load(file, values, picture) -> CameraPath:
           _camera(entry, f"{file}: key {i}")) for i, entry in enumerate(keys)])
 
 
-def save(path: CameraPath, file, picture) -> None:
+def save(path: CameraPath, file: str | Path, picture: Picture) -> None:
     write_json(file, {
         "format": FORMAT, "version": VERSION, "fps": path.fps or picture.fps, "start_frame": path.start_frame, "axes": path.axes,
         "frames": named([_entry(camera) for camera in path.cameras], path),
@@ -52,7 +53,7 @@ def _entry(camera: Camera) -> dict:
             "world_to_camera": camera.world_to_camera.tolist()}
 
 
-def _camera(entry, where) -> Camera:
+def _camera(entry: object, where: str) -> Camera:
     entry = poses.table(entry, where)
     given = poses.intrinsics(where, *(entry.get(key) for key in ("fx", "fy", "cx", "cy", "width", "height")))
     pose = poses.rigid(entry.get("world_to_camera"), f"{where}: its world_to_camera")

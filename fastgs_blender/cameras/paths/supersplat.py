@@ -10,7 +10,10 @@ Cameras are level: y is up.  fov holds across the longer side of the picture.  B
 """
 import json
 import warnings
+from collections.abc import Callable
+from pathlib import Path
 from reprlib import repr as shortened
+from typing import Any
 
 import numpy as np
 
@@ -20,7 +23,7 @@ from ...util.zip_files import opened_zip, read_member
 from .. import poses
 from ..camera import Camera
 from . import base
-from .base import CameraPath
+from .base import CameraPath, Picture
 
 name, label = "supersplat", "SuperSplat / PlayCanvas settings.json"
 TURN = np.diag([-1.0, -1.0, 1.0])
@@ -33,11 +36,11 @@ STEEPEST = 1e15
 """Slopes beyond it, per frame, are none."""
 
 
-def recognises(values) -> bool:
+def recognises(values: object) -> bool:
     return isinstance(values, dict) and ("animTracks" in values or "poseSets" in values)
 
 
-def read_project(file) -> dict:
+def read_project(file: Path) -> dict:
     """document.json of a project."""
     advice = "this is no SuperSplat project, or it is damaged; save it again in SuperSplat"
     with reading(file, advice), opened_zip(file) as archive:
@@ -47,7 +50,7 @@ def read_project(file) -> dict:
         return json.loads(read_member(archive, document).decode("utf-8-sig"))
 
 
-def load(file, values, picture) -> CameraPath:
+def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     times, points, rate, length, period, smoothness, step = _project(file, values) if "poseSets" in values else _settings(file, values)
     if len(times) > 1 and (np.diff(times) <= 0).any():
         raise FastGSError(f"{file}: the frames of its keyframes must increase.")
@@ -60,7 +63,7 @@ def load(file, values, picture) -> CameraPath:
     return CameraPath([_camera(spline(f * rate / fps), picture, f"{file}: frame {f}") for f in range(count)], fps, keys=keys)
 
 
-def save(path: CameraPath, file, picture) -> None:
+def save(path: CameraPath, file: str | Path, picture: Picture) -> None:
     base.warn_of_losses(path, label)
     if path.names:
         warnings.warn(f"{label} holds no names of cameras; they are numbered.", LossWarning, stacklevel=2)
@@ -90,7 +93,7 @@ def save(path: CameraPath, file, picture) -> None:
         "cameras": [{"initial": start}], "annotations": [], "startMode": "animTrack"})
 
 
-def _settings(file, values):
+def _settings(file: Path, values: dict) -> tuple[Any, ...]:
     """Times [K], points [K, 7], frame rate, length in frames, period of the spline or None, smoothness, whether it goes in steps."""
     tracks = [track for track in poses.listed(values.get("animTracks") or [], f"{file}: its animTracks", 0) if isinstance(track, dict)]
     track = next((t for t in tracks if isinstance(t.get("keyframes"), dict) and t["keyframes"].get("times")), None)
@@ -98,13 +101,13 @@ def _settings(file, values):
         raise FastGSError(f"{file}: there is no camera animation in these settings; export them from SuperSplat with an animation.")
     where = f"{file}: the animation {shortened(track.get('name', ''))}"
     rate = poses.number(track.get("frameRate") or 30, f"{where}: its frameRate", 1e-3, 1e6)
-    times = poses.listed(track["keyframes"]["times"], f"{where}: its times")
-    count = len(times)
-    times = np.clip(poses.numbers(times, (count,), f"{where}: its times"), -1e9, 1e9) * (1 if track.get("frameRate") else rate)
+    listed = poses.listed(track["keyframes"]["times"], f"{where}: its times")
+    count = len(listed)
+    times = np.clip(poses.numbers(listed, (count,), f"{where}: its times"), -1e9, 1e9) * (1 if track.get("frameRate") else rate)
     found = poses.table(track["keyframes"].get("values"), f"{where}: its values")
     position, target = (poses.near(poses.numbers(found.get(key), (3 * count,), f"{where}: its {key}"), where).reshape(-1, 3)
                         for key in ("position", "target"))
-    camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
+    camera: Any = values.get("camera") if isinstance(values.get("camera"), dict) else {}
     fov = found.get("fov", [camera.get("fov") or 60] * count)
     points = np.concatenate([position, target, poses.numbers(fov, (count,), f"{where}: its fov")[:, None]], 1)
     length = poses.number(track.get("duration", 0), f"{where}: its duration", 0, 1e7) * rate
@@ -113,12 +116,12 @@ def _settings(file, values):
     return times, points, rate, length, period, smoothness, track.get("interpolation") == "step"
 
 
-def _project(file, values):
+def _project(file: Path, values: dict) -> tuple[Any, ...]:
     sets = [s for s in poses.listed(values.get("poseSets") or [], f"{file}: its poseSets", 0) if isinstance(s, dict) and s.get("poses")]
     if not sets:
         raise FastGSError(f"{file}: there are no camera keyframes in this project; add some on SuperSplat's timeline.")
-    timeline = values.get("timeline") if isinstance(values.get("timeline"), dict) else {}
-    camera = values.get("camera") if isinstance(values.get("camera"), dict) else {}
+    timeline: Any = values.get("timeline") if isinstance(values.get("timeline"), dict) else {}
+    camera: Any = values.get("camera") if isinstance(values.get("camera"), dict) else {}
     rate = poses.number(timeline.get("frameRate", 30), f"{file}: its frameRate", 1e-3, 1e6)
     rows = []
     for i, entry in enumerate(poses.listed(sets[0]["poses"], f"{file}: its poses")):
@@ -128,16 +131,16 @@ def _project(file, values):
                      *poses.near(poses.numbers(entry.get("position"), (3,), f"{where}: its position"), where),
                      *poses.near(poses.numbers(entry.get("target"), (3,), f"{where}: its target"), where),
                      poses.number(entry.get("fov", camera.get("fov", 60)), f"{where}: its fov")])
-    rows = np.array(sorted(rows, key=lambda row: row[0]))
+    keys = np.array(sorted(rows, key=lambda row: row[0]))
     length = poses.number(timeline.get("frames", 180), f"{file}: its frames", 1, base.MOST_INTERPOLATED)
-    kept = rows[rows[:, 0] < length]
+    kept = keys[keys[:, 0] < length]
     if not len(kept):
         raise FastGSError(f"{file}: all its keyframes lie beyond the end of its timeline.")
     smoothness = poses.number(timeline.get("smoothness", 1), f"{file}: its smoothness", 0, 10)
     return kept[:, 0], kept[:, 1:], rate, length, length if timeline.get("loop", True) else None, smoothness, False
 
 
-def _spline(times, points, period, smoothness, step):
+def _spline(times: np.ndarray, points: np.ndarray, period: float | None, smoothness: float, step: bool) -> Callable[[float], np.ndarray]:
     """A function of the frame: a cubic Hermite spline whose slopes are those between the neighbours, times smoothness.
 
     period: the length after which it starts over; None: it has ends.
@@ -153,7 +156,7 @@ def _spline(times, points, period, smoothness, step):
         slopes[0], slopes[-1] = ((points[b] - points[a]) / (times[b] - times[a]) for a, b in ((0, 1), (-2, -1)))
     slopes[~(np.abs(slopes) < STEEPEST)] = 0  # of keyframes that stand at one time, or all but
 
-    def at_frame(at):
+    def at_frame(at: float) -> np.ndarray:
         if at <= times[0] or at >= times[-1]:
             return points[0 if at <= times[0] else -1]
         i = int(np.searchsorted(times, at, side="right")) - 1
@@ -167,7 +170,7 @@ def _spline(times, points, period, smoothness, step):
     return at_frame
 
 
-def _camera(point, picture, where) -> Camera:
+def _camera(point: np.ndarray, picture: Picture, where: str) -> Camera:
     """A level camera at point[:3] that looks at point[3:6]."""
     forward = point[3:6] - point[:3]
     distance = np.linalg.norm(forward)

@@ -4,20 +4,22 @@
 Written with what nerfstudio's dataparser asks of each picture: file_path with an ending, transform_matrix, w, h, fl_x, fl_y, cx and cy.
 It sorts by file_path.  A camera that moves has a `time` in each frame, from 0 to 1.  "name" and "fps" are ours, and ignored there.
 """
+from pathlib import Path
+
 from .. import poses
 from ..transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
-from .base import CameraPath, check_frames, frame_names, named, names_of, opengl_to_world, pinholes, write_json
+from .base import CameraPath, Picture, check_frames, frame_names, named, names_of, opengl_to_world, pinholes, write_json
 
 name, label = "transforms.json", "transforms.json (nerfstudio, instant-ngp)"
 PICTURES = (".png", ".jpg", ".jpeg", ".exr", ".webp", ".bmp", ".tif", ".tiff")
 
 
-def recognises(values) -> bool:
+def recognises(values: object) -> bool:
     frames = values.get("frames") if isinstance(values, dict) else None
     return isinstance(frames, list) and bool(frames) and isinstance(frames[0], dict) and "transform_matrix" in frames[0]
 
 
-def load(file, values, picture) -> CameraPath:
+def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     entries = values["frames"]
     check_frames(file, entries)
     found, times = [], []
@@ -36,7 +38,7 @@ def load(file, values, picture) -> CameraPath:
     return CameraPath(cameras, fps_of(values, file), axes="RFU", names=names)
 
 
-def save(path: CameraPath, file, picture) -> None:
+def save(path: CameraPath, file: str | Path, picture: Picture) -> None:
     names = path.names or [f"frame_{number}" for number in frame_names(path)]
     frames = [{
         "file_path": name if name.lower().endswith(PICTURES) else f"{name}.png", "w": camera.width, "h": camera.height, "fl_x": camera.fx,

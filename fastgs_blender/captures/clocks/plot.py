@@ -3,6 +3,7 @@
 import colorsys
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -21,7 +22,7 @@ def write_plot(path: Path, curves: Curves, offsets: Mapping[str, float]) -> None
         image.save(file, format="PNG")
 
 
-def draw(curves: Curves, offsets: Mapping[str, float]):
+def draw(curves: Curves, offsets: Mapping[str, float]) -> Any:
     """The picture."""
     from PIL import Image, ImageDraw
 

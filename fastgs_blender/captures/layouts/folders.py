@@ -34,7 +34,7 @@ def load(path: Path, options: Options) -> Capture:
     return from_rig(path, name, cameras, options, fps=rates[0] if rates else 30.0, start_frame=start, faults=faults)
 
 
-def _masks(path, view, start, count) -> list[Source | None]:
+def _masks(path: Path, view: str, start: int, count: int) -> list[Source | None]:
     folder = path / "masks" / view
     found = numbered_pictures(folder) if folder.is_dir() else {}
     return [Source(found[n]) if n in found else None for n in range(start, start + count)] if found else []

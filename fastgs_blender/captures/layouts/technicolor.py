@@ -10,9 +10,13 @@ would go, so it is refused.  Camera 10 (third row, third column) is held out, at
 """
 import re
 from pathlib import Path
+from typing import Any
+
+import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Lens
+from ...model.points import Points
 from ...util.errors import FastGSError
 from ...util.reading import read_bytes
 from ..capture import Capture, Options
@@ -78,7 +82,7 @@ def load(path: Path, options: Options) -> Capture:
                         notes=notes + remarks, gaps=gaps, points=points)
 
 
-def _prepared(path, poses_of, first, last, options):
+def _prepared(path: Path, poses_of: dict[str, np.ndarray], first: int, last: int, options: Options) -> tuple[Points | None, list[str]]:
     """Points of each frame (prepared.py); workspaces have the pictures' numbers, and cameras are called 00 or cam00 there."""
     named = poses_of | {f"cam{camera}": pose for camera, pose in poses_of.items()}
     start = first if min(frame_workspaces(path), default=0) >= first else 0
@@ -86,7 +90,7 @@ def _prepared(path, poses_of, first, last, options):
     return prepared_points(path, named, chosen, start) if len(chosen) and chosen.step > 0 else (None, [])
 
 
-def _camera(row, found, camera, where):
+def _camera(row: list[float], found: dict, camera: str, where: str) -> tuple[dict[str, Any], np.ndarray]:
     """The settings of the camera's Sources, and its pose."""
     focal, cx, cy, aspect, skew = row[:5]
     if abs(aspect - 1) > 1e-3:

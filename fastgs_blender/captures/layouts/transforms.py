@@ -13,6 +13,7 @@ from reprlib import repr as shortened
 
 from ...cameras import poses
 from ...cameras.transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
+from ...model.points import Points
 from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ...util.stated_paths import local
@@ -70,7 +71,7 @@ def _split(file: Path) -> str:
     return next((split for split in SPLITS if file.stem.lower().endswith("_" + split)), "")
 
 
-def _points(tables: dict[Path, dict]):
+def _points(tables: dict[Path, dict]) -> Points | None:
     folder, stated = next(iter(tables)).parent, [values.get("ply_file_path") for values in tables.values()]
     for file, value in zip(tables, stated):
         _check_local(folder, value, f"{file}: its ply_file_path")
@@ -126,7 +127,7 @@ def _found(folder: Path, stated: object) -> Path | None:
 
 
 def _source(picture: Path, given: dict, where: str, sizes: dict) -> Source:
-    def size():
+    def size() -> tuple[int, int]:
         try:
             sizes[picture.parent] = picture_size(Source(picture))
         except FastGSError:  # check() tells of the picture; its neighbours' size will do until then

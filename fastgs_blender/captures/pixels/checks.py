@@ -24,7 +24,7 @@ def check(capture: Capture) -> None:
         raise FastGSError(sentence(capture.path, found))
 
 
-def sentence(path, found: list[str]) -> str:
+def sentence(path: Path, found: list[str]) -> str:
     """All problems in one sentence that names the capture."""
     clauses = [text.rstrip(".").replace(f"{path}/", "").replace(f"{path}\\", "") for text in found]
     more = [f"and {len(clauses) - MOST} more"] if len(clauses) > MOST else []
@@ -43,7 +43,7 @@ def problems(capture: Capture) -> list[str]:
     return found + _synchronisation(capture)
 
 
-def _view_problems(view, shots: list[Shot], sizes: Counter, capture) -> list[str]:
+def _view_problems(view: str, shots: list[Shot], sizes: Counter, capture: Capture) -> list[str]:
     wrong: dict = {}
     masks: dict = {}
     start = capture.clip.start_frame
@@ -114,5 +114,5 @@ def _times_stated(capture: Capture) -> bool:
     return False
 
 
-def _text(size) -> str:
+def _text(size: tuple[int, int]) -> str:
     return f"{size[0]} x {size[1]}"

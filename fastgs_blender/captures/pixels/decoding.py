@@ -3,7 +3,9 @@
 
 Where a shot has both, another channel has the alpha alone.
 """
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
+from functools import partial
+from pathlib import Path
 
 import numpy as np
 
@@ -32,7 +34,7 @@ def decode(shots: Iterable[Shot], scale: float) -> Iterator[tuple[Shot, np.ndarr
     shots = list(shots)
     for shot in shots:
         if shot.image.frame is None:
-            yield shot, _attempt(shot, lambda shot=shot: _finished(shot, scale, *pictures.read(shot.image)))
+            yield shot, _attempt(shot, lambda shot: _finished(shot, scale, *pictures.read(shot.image)))
     videos: dict = {}
     for shot in shots:
         if shot.image.frame is not None:
@@ -41,21 +43,21 @@ def decode(shots: Iterable[Shot], scale: float) -> Iterator[tuple[Shot, np.ndarr
         yield from _decode_video(path, wanted, scale)
 
 
-def _decode_video(path, wanted, scale):
+def _decode_video(path: Path, wanted: dict[int, list[Shot]], scale: float) -> Iterator[tuple[Shot, np.ndarray | FastGSError]]:
     left = dict(wanted)
     try:
         for number, rgb in frames(path, list(wanted)):
             for shot in left.pop(number):
-                yield shot, _attempt(shot, lambda shot=shot, rgb=rgb: _finished(shot, scale, pictures.graded(rgb, shot.image), None))
+                yield shot, _attempt(shot, partial(lambda rgb, shot: _finished(shot, scale, pictures.graded(rgb, shot.image), None), rgb))
     except FastGSError as error:
         for shots in left.values():
             yield from ((shot, error) for shot in shots)
 
 
-def _attempt(shot, work):
+def _attempt(shot: Shot, work: Callable[[Shot], np.ndarray]) -> np.ndarray | FastGSError:
     try:
         with reading(shot.image):
-            return work()
+            return work(shot)
     except FastGSError as error:
         return error
 
@@ -75,7 +77,7 @@ def _finished(shot: Shot, scale: float, rgb: np.ndarray, alpha: np.ndarray | Non
     return _reshaped(shot, scale, rgb, alpha, [plane for plane in (mask, alpha if both else None) if plane is not None])
 
 
-def _reshaped(shot, scale, rgb, alpha, further):
+def _reshaped(shot: Shot, scale: float, rgb: np.ndarray, alpha: np.ndarray | None, further: list[np.ndarray]) -> np.ndarray:
     target = shape(shot, scale)[:2]
     deep = rgb.dtype == np.float32
     positions = None if shot.camera is None else positions_of(shot)
@@ -118,7 +120,7 @@ def shrink(plane: np.ndarray, target: tuple[int, int]) -> np.ndarray:
     return _narrow(_narrow(plane, target[0], 0), target[1], 1)
 
 
-def _narrow(plane, count, axis):
+def _narrow(plane: np.ndarray, count: int, axis: int) -> np.ndarray:
     """Means over `count` equal parts of an axis, whose ends may lie within pixels; float32."""
     length = plane.shape[axis]
     ends = np.arange(count + 1) * (length / count)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """OpenEXR pictures: red, green, blue and alpha of the first layer that has them, as large as the display window."""
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from reprlib import repr as shortened
+from typing import Any
 
 import numpy as np
 
@@ -45,14 +46,14 @@ def read(path: Path) -> tuple[np.ndarray, np.ndarray | None]:
     return rgb, np.nan_to_num(np.clip(planes["A"], 0, 1)) if "A" in planes else None
 
 
-def _size(path, window) -> tuple[int, int]:
+def _size(path: Path, window: Any) -> tuple[int, int]:
     low, high = (np.asarray(v, np.int64) for v in window)
     width, height = (int(v) for v in high - low + 1)
     check_size(path, width, height)
     return width, height
 
 
-def _choose(path, channels) -> dict[str, str]:
+def _choose(path: Path, channels: Iterable[Any]) -> dict[str, str]:
     """{"R": name in the file, ...}: plain names, else a layer called Combined, else the first layer with R, G and B; else one Y."""
     names = [channel.name for channel in channels]
     layers = ["", *sorted({name[:-1] for name in names if name.endswith(".R")}, key=lambda layer: (not layer.endswith("Combined."), layer))]
@@ -65,7 +66,7 @@ def _choose(path, channels) -> dict[str, str]:
     raise FastGSError(f"{path}: the picture has no colours (R, G, B), only {', '.join(map(shortened, names[:6])) or 'nothing'}.")
 
 
-def _placed(plane, left, top, width, height, path):
+def _placed(plane: np.ndarray, left: int, top: int, width: int, height: int, path: Path) -> np.ndarray:
     """The data window's plane within the display window, 0 around it."""
     plane = np.asarray(plane)
     if plane.ndim != 2:
@@ -81,7 +82,7 @@ def _placed(plane, left, top, width, height, path):
 
 
 @contextmanager
-def _opened(path, **settings) -> Iterator:
+def _opened(path: Path, **settings: Any) -> Iterator:
     """An OpenEXR.File; raises FastGSError for whatever OpenEXR raises while it is open."""
     import OpenEXR
 

@@ -26,7 +26,7 @@ def fill(shots: list[Shot], scale: float, is_there: Callable[[Shot], bool], keep
     results: queue.SimpleQueue = queue.SimpleQueue()
     stop = threading.Event()
 
-    def work(task):
+    def work(task: list[Shot]) -> None:
         try:
             for shot, found in decoding.decode((s for s in task if not is_there(s)), scale):
                 if stop.is_set():

@@ -3,6 +3,7 @@
 import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from typing import Any
 
 from ...util.errors import FastGSError
 from ..sources import PICTURES, VIDEOS, Source
@@ -89,7 +90,7 @@ def frame_range(numbered: Iterable[dict[int, Path]], where: Path) -> tuple[int, 
     return start, count
 
 
-def numbered_sources(numbered: dict[int, Path], where: Path, **settings) -> list[Source | None]:
+def numbered_sources(numbered: dict[int, Path], where: Path, **settings: Any) -> list[Source | None]:
     """One Source per number from the lowest to the highest, None where there is no picture; settings are the Source's others.
 
     Raises FastGSError as frame_range() does.
@@ -98,7 +99,7 @@ def numbered_sources(numbered: dict[int, Path], where: Path, **settings) -> list
     return [Source(numbered[n], **settings) if n in numbered else None for n in range(start, start + count)]
 
 
-def video_frames(path: Path, faults: list[str], **settings) -> tuple[Sequence[Source], float | None]:
+def video_frames(path: Path, faults: list[str], **settings: Any) -> tuple[Sequence[Source], float | None]:
     """One Source per frame of a video and its further chapters, and its frames per second; settings are the Source's others.
 
     For a video that cannot be read: no sources and None, and a sentence is added to faults.

@@ -150,7 +150,7 @@ class FrameStore:
                     self._held_bytes -= self._held.popitem(last=False)[1].nbytes
         return array
 
-    def _decode_now(self, shot):
+    def _decode_now(self, shot: Shot) -> np.ndarray:
         """A shot's pixels from its files, kept in the cache as well where there is room."""
         for _, found in decoding.decode([shot], self.capture.scale):
             if isinstance(found, FastGSError):
@@ -160,7 +160,7 @@ class FrameStore:
             return found
         raise AssertionError
 
-    def _valid_of(self, shot):
+    def _valid_of(self, shot: Shot) -> np.ndarray | None:
         if shot.camera is None or shot.image.lens.is_pinhole:
             return None
         camera = shot.camera
@@ -188,10 +188,10 @@ class FrameStore:
             return False
         return length == self._length(shot)
 
-    def _length(self, shot):
+    def _length(self, shot: Shot) -> int:
         return framefiles.HEADER + math.prod(decoding.shape(shot, self.capture.scale)) * np.dtype(_kind(shot)).itemsize
 
-    def _keep(self, shot, array):
+    def _keep(self, shot: Shot, array: np.ndarray) -> None:
         try:
             framefiles.write(self._path(shot), array)
         except OSError as error:
@@ -214,7 +214,7 @@ class FrameStore:
                 self.beyond.add(shot)
         return [shot for shot in todo if shot not in self.beyond]
 
-    def _check_space(self, todo):
+    def _check_space(self, todo: Iterable[Shot]) -> None:
         need = sum(map(self._length, todo))
         free = shutil.disk_usage(self.folder).free
         if need and need + RESERVE > free:
@@ -233,6 +233,6 @@ def _bytes(count: int) -> str:
     return f"{math.ceil(count / 1e8) / 10:.1f} GB" if count >= 1e9 else f"{math.ceil(count / 1e6)} MB"
 
 
-def _kind(shot: Shot):
+def _kind(shot: Shot) -> type[np.integer]:
     """The type of a shot's cached numbers."""
     return np.uint16 if facts(shot.image).deep else np.uint8

@@ -50,7 +50,7 @@ def filled(text: str, values: dict) -> str:
     return re.sub(r"\{([A-Z][A-Z0-9_]*)\}", lambda found: _literal(values[found[1]]), text)
 
 
-def _literal(value) -> str:
+def _literal(value: float) -> str:
     """A number as shaders write it: of float32 the nearest, whole ones as they are."""
     if isinstance(value, (bool, np.bool_)):
         return "true" if value else "false"
@@ -65,7 +65,7 @@ def glsl(*names: str) -> str:
 
 def to_glsl(text: str) -> str:
     """The GLSL of WGSL as the equations are written, line by line."""
-    def function(found) -> str:
+    def function(found: re.Match[str]) -> str:
         given = re.sub(r"(\w+): (\w+)", r"\2 \1", found[2])
         return f"{found[3] or 'void'} {found[1]}({given}) {{"
 

@@ -5,7 +5,7 @@ The splats' shaders (splat.py) read it by the same names.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -93,7 +93,8 @@ class Depths:
 
 
 def frame_table(camera: Camera, instances: list[ViewedInstance], place: Callable[[GaussianModel], model_texels.Place], count: int,
-                groups: dict[int, int], depths: Depths | None, depth_size=(1, 1), gone=frozenset()) -> np.ndarray:
+                groups: dict[int, int], depths: Depths | None, depth_size: tuple[int, int] = (1, 1),
+                gone: Collection[int] = frozenset()) -> np.ndarray:
     """The table as float32 [1 + instances, width, 4].
 
     place       where the texels of an instance's model begin
@@ -113,7 +114,7 @@ def frame_table(camera: Camera, instances: list[ViewedInstance], place: Callable
     return out
 
 
-def _view_row(camera, instances, count, depths, depth_size):
+def _view_row(camera: Camera, instances: int, count: int, depths: Depths | None, depth_size: tuple[int, int]) -> list[tuple]:
     test = depths or Depths()
     return [
         (camera.width, camera.height, camera.fx, camera.fy),
@@ -125,7 +126,7 @@ def _view_row(camera, instances, count, depths, depth_size):
     ]
 
 
-def _instance_row(instance, texels, first, group, far):
+def _instance_row(instance: ViewedInstance, texels: model_texels.Place, first: int, group: int, far: float) -> list[tuple]:
     """The texels of an instance's row; `first` is its first Gaussian's place among all, texels where its texels begin."""
     model, raster, layout, sampling = instance.model, instance.model.raster, texels.layout, instance.sampling
     to_camera, to_model = instance.model_to_camera, instance.camera_to_model

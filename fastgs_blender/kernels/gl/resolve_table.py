@@ -2,7 +2,9 @@
 """The parameters of the resolve shader, as one row of a texture.  The shader (resolve.py) reads them by the same names."""
 from __future__ import annotations
 
+from collections.abc import Sequence
 from enum import IntEnum
+from typing import Any
 
 import numpy as np
 
@@ -58,9 +60,9 @@ TEXELS = ResolveTexel.REFUSED + LOOK_NUMBERS // 4
 """Length of the row."""
 
 
-def resolve_table(camera: Camera, size, group, working: np.ndarray, background=None, border=(0, 0, 1, 1), opacity: float = 1.0,
-                  frame=(0, 0, 1, 1), outside: float = 1.0, depths: Depths | None = None, sky=None, first: bool = True,
-                  summed: bool = False, raw: bool = False) -> np.ndarray:
+def resolve_table(camera: Camera, size: tuple[int, int], group: Any, working: np.ndarray, background: Any = None,
+                  border: Sequence[float] = (0, 0, 1, 1), opacity: float = 1.0, frame: Sequence[float] = (0, 0, 1, 1), outside: float = 1.0,
+                  depths: Depths | None = None, sky: Any = None, first: bool = True, summed: bool = False, raw: bool = False) -> np.ndarray:
     """float32 [1, texels, 4].
 
     size       width and height of the picture

@@ -78,7 +78,7 @@ def _without_complaints() -> Iterator[None]:
             del os.environ[name]
 
 
-def _adapter(native) -> Adapter:
+def _adapter(native: Any) -> Adapter:
     info, limits = native.info, native.limits
     return Adapter(info["device"], info["description"], info["backend_type"], KINDS.get(info["adapter_type"], "GPU"),
                    info["adapter_type"] == "CPU", min(limits["max-storage-buffer-binding-size"], limits["max-buffer-size"]), native)

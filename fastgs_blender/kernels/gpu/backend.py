@@ -3,11 +3,17 @@
 from __future__ import annotations
 
 import logging
+from collections.abc import Callable, Collection, Sequence
 from functools import cache, cached_property, wraps
+from typing import Any
 
 import numpy as np
+from numpy.typing import DTypeLike
 
-from ...rendering.layout import Layout
+from ...cameras.camera import Camera
+from ...rendering.exposure import Exposure
+from ...rendering.instances import ViewedInstance
+from ...rendering.layout import Buffers, Exposed, Layout
 from ..cpu.backend import CPU, timed
 from . import steps, training
 from .adapters import find
@@ -20,7 +26,7 @@ from .rows import Split, as_rows, zero_rows
 from .splats import front_to_back, project
 
 
-def _on_device(work):
+def _on_device(work: Callable[..., Any]) -> Callable[..., Any]:
     """The method whose function takes the backend's device first."""
     return wraps(work)(lambda self, *given, **named: work(self.device, *given, **named))
 
@@ -36,8 +42,9 @@ class GPU(CPU):
     on the device, the picture is drawn by the CPU, and so are all others from then on.  A line of the log says why.
     """
 
-    def __init__(self, open):  # noqa: A002
-        self.open, self.failed, self.too_large = open, None, ""
+    def __init__(self, open: Callable[[], Device]) -> None:  # noqa: A002
+        self.open, self.too_large = open, ""
+        self.failed: str | None = None
 
     @cached_property
     def models(self) -> Models:
@@ -48,7 +55,7 @@ class GPU(CPU):
     def device(self) -> Device:
         return self.models.device
 
-    def _or_else(self, work, instead):
+    def _or_else(self, work: Callable[[], Any], instead: Callable[[], Any]) -> Any:
         """The result of `work`, on the GPU, or that of `instead`, on the CPU."""
         if self.failed is None:
             try:
@@ -63,35 +70,37 @@ class GPU(CPU):
                 logging.getLogger(__name__).warning("the GPU fails, so the CPU goes on: %s.", failure)
         return instead()
 
-    def numpy(self, array):
+    def numpy(self, array: Any) -> np.ndarray:
         if isinstance(array, Array | Split):
             return array.numpy()
         return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
 
-    def draw(self, instances, camera, layout, probes, progress, holdout=None):
+    def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
+             progress: Callable[[float], None], holdout: np.ndarray | None = None) -> Any:
         again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
         return self._or_else(
             lambda: draw(self.device, self.models, instances, camera, layout, probes, progress, holdout, again), again)
 
-    def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):
+    def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool, progress: Callable[[float], None],
+               holdout: np.ndarray | None = None, objects: Sequence[tuple[str, int]] = (), by_pixel: bool = False) -> Exposed:
         given = exposure, instances, camera, colours
         return self._or_else(lambda: expose(self.device, self.models, *given, progress, holdout, objects, by_pixel),
                              lambda: super(GPU, self).expose(*given, progress, holdout, objects, by_pixel))
 
-    def surface(self, triangles, camera):
+    def surface(self, triangles: np.ndarray, camera: Camera) -> Any:
         return self._or_else(lambda: surface(self.device, triangles, camera), lambda: super(GPU, self).surface(triangles, camera))
 
-    def colour(self, buffers, layout, camera):
+    def colour(self, buffers: Buffers, layout: Layout, camera: Camera) -> Any:
         if not isinstance(buffers, DeviceBuffers):
             return super().colour(buffers, layout, camera)
         again = cache(lambda: super(GPU, self).colour(buffers.again(), layout, camera))
         return self._or_else(lambda: colour(self.device, buffers, layout, camera, again), again)
 
-    def measure_stages(self, instance, camera, repeat):
+    def measure_stages(self, instance: ViewedInstance, camera: Camera, repeat: int) -> tuple[dict[str, float], int]:
         return self._or_else(lambda: self._measure_stages(instance, camera, repeat),
                              lambda: super(GPU, self).measure_stages(instance, camera, repeat))
 
-    def _measure_stages(self, instance, camera, repeat):
+    def _measure_stages(self, instance: ViewedInstance, camera: Camera, repeat: int) -> tuple[dict[str, float], int]:
         layout, found, device = Layout([instance], depth=False), [self.models.packs(instance.model)], self.device
         times, splats = timed(
             repeat, device.wait, lambda: project(device, [instance], camera, layout, found), lambda splats: front_to_back(device, splats),
@@ -100,16 +109,16 @@ class GPU(CPU):
 
     # training: its arrays stay on the device, so what fails there ends the step
 
-    def array(self, values):
+    def array(self, values: np.ndarray) -> Any:
         return as_rows(self.device, values)
 
-    def zeros(self, shape, dtype=np.float32):
+    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Any:
         return zero_rows(self.device, shape, dtype)
 
-    def read(self, *arrays):
+    def read(self, *arrays: Any) -> list[np.ndarray]:
         return self.device.read_all(arrays)
 
-    def picture(self, rgb, stored):
+    def picture(self, rgb: np.ndarray, stored: np.ndarray | None) -> Any:
         return self.device.array(rgb) if stored is None else training.picture(self.device, stored)
 
     forward = _on_device(training.forward)
@@ -120,7 +129,7 @@ class GPU(CPU):
     begin_step = _on_device(steps.begin)
     end_step = _on_device(steps.end)
 
-    def rows(self, seen):
+    def rows(self, seen: Any) -> Any:
         return seen
 
     count = _on_device(steps.count)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
@@ -16,6 +16,7 @@ from heapq import heappop, heappush
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike, DTypeLike
 
 from ..protocol import DeviceError
 from .pipelines import Groups, Pipeline, compiled
@@ -82,7 +83,7 @@ class Array:
         return values.reshape(self.shape).astype(self.dtype)
 
 
-def stored(dtype) -> np.dtype:
+def stored(dtype: DTypeLike) -> np.dtype:
     """The type in which a device holds numbers of a type."""
     kind = np.dtype(dtype)
     return np.dtype({"f": np.float32, "i": np.int32, "u": np.uint32, "b": np.uint32}[kind.kind])
@@ -117,7 +118,7 @@ class Device:
     _lock: Any = field(default_factory=threading.RLock)
 
     @cached_property
-    def native(self):
+    def native(self) -> Any:
         """wgpu's GPUDevice."""
         raised = ("max-storage-buffer-binding-size", "max-buffer-size")
         return self._try(lambda: self.adapter.request_device_sync(
@@ -149,7 +150,7 @@ class Device:
         return self.zeros((1,), np.uint32)
 
     @cached_property
-    def _arena(self):
+    def _arena(self) -> Any:
         import wgpu
 
         return self._try(lambda: self.native.create_buffer(size=PARAMETERS, usage=wgpu.BufferUsage.UNIFORM | wgpu.BufferUsage.COPY_DST))
@@ -189,18 +190,18 @@ class Device:
             self._let_go()
             return Buffer(self, self._create(size), size)
 
-    def _create(self, size: int):
+    def _create(self, size: int) -> Any:
         import wgpu
 
         usage = wgpu.BufferUsage.STORAGE | wgpu.BufferUsage.COPY_SRC | wgpu.BufferUsage.COPY_DST
         return self._try(lambda: self.native.create_buffer(size=size, usage=usage))
 
-    def _mappable(self, size: int):
+    def _mappable(self, size: int) -> Any:
         import wgpu
 
         return self.native.create_buffer(size=size, usage=wgpu.BufferUsage.MAP_READ | wgpu.BufferUsage.COPY_DST)
 
-    def take_back(self, buffer: Buffer, most: int = SPARE, push=heappush) -> None:
+    def take_back(self, buffer: Buffer, most: int = SPARE, push: Callable[..., None] = heappush) -> None:
         """Keep what a buffer was made of, or let it go; most: bytes that are kept.  (Arguments, because buffers may outlive this module's
         names when Python ends.)"""
         with self._lock:
@@ -219,11 +220,11 @@ class Device:
             self._spare_bytes = 0
             self._groups.forget()
 
-    def empty(self, shape, dtype=np.float32) -> Array:
+    def empty(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Array:
         """An array that is not initialised."""
         return Array(self.buffer(math.prod(shape)), tuple(shape), np.dtype(dtype))
 
-    def zeros(self, shape, dtype=np.float32) -> Array:
+    def zeros(self, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Array:
         """An array of zeros."""
         array = self.empty(shape, dtype)
         self.clear(array.buffer)
@@ -234,7 +235,7 @@ class Device:
         self._recorded.add(id(buffer.native))
         self._try(lambda: self._commands().clear_buffer(buffer.native))
 
-    def array(self, values) -> Array:
+    def array(self, values: ArrayLike) -> Array:
         """The values as an array of the device."""
         values = np.asarray(values)
         return self.upload(self.empty(values.shape, values.dtype), values)
@@ -257,7 +258,7 @@ class Device:
             self._recorded.update((id(source.native), id(target.native)))
             self._try(lambda: self._commands().copy_buffer_to_buffer(source.native, 4 * begin, target.native, 4 * at, 4 * numbers))
 
-    def read(self, buffer: Buffer, dtype, count: int, begin: int = 0) -> np.ndarray:
+    def read(self, buffer: Buffer, dtype: DTypeLike, count: int, begin: int = 0) -> np.ndarray:
         """`count` numbers of a buffer from `begin` on; waits for all work."""
         if not count:
             return np.empty(0, dtype)
@@ -265,7 +266,7 @@ class Device:
         data = self._try(lambda: self.native.queue.read_buffer(buffer.native, 4 * begin, 4 * count))
         return np.frombuffer(data, dtype, count)
 
-    def read_later(self, arrays: list[Array]) -> Callable[[], list[np.ndarray]]:
+    def read_later(self, arrays: Sequence[Array]) -> Callable[[], list[np.ndarray]]:
         """A function that gives the values that several small arrays, no columns of others, have now: it waits only as far as the GPU has
         not come to this place yet."""
         sizes = [math.prod(array.shape) for array in arrays]
@@ -284,7 +285,7 @@ class Device:
 
         return arrive
 
-    def read_all(self, arrays: list[Array]) -> list[np.ndarray]:
+    def read_all(self, arrays: Sequence[Array]) -> list[np.ndarray]:
         """The values of several small arrays at once, which are no columns of others; waits for all work."""
         return self.read_later(arrays)()
 
@@ -294,7 +295,7 @@ class Device:
         """Wait until all work is done, for measurements."""
         self.read(self.buffer(1), np.uint32, 1)
 
-    def run(self, stage: str, threads: int, parameters, *buffers, groups: bool = False, **constants) -> None:
+    def run(self, stage: str, threads: int, parameters: Iterable[Any], *buffers: Any, groups: bool = False, **constants: Any) -> None:
         """Give the GPU a stage to do (wgsl/<stage>.wgsl).
 
         threads     how many are needed, in workgroups of GROUP; with `groups` that many workgroups
@@ -308,7 +309,7 @@ class Device:
         x = min(count, WIDEST)
         self._try(lambda: self._dispatch(self._pipeline(stage, constants), packed(parameters), buffers, (x, -(-count // x), 1)))
 
-    def _dispatch(self, pipeline: Pipeline, parameters: bytes, buffers, size) -> None:
+    def _dispatch(self, pipeline: Pipeline, parameters: bytes, buffers: Sequence[Any], size: Any) -> None:
         where = -(-len(self._parameters) // SLOT) * SLOT
         if where + len(parameters) > PARAMETERS:
             self.submit()
@@ -330,7 +331,7 @@ class Device:
             self._pipelines[key] = compiled(self.native, stage, self.subgroups, constants)
         return self._pipelines[key]
 
-    def _commands(self):
+    def _commands(self) -> Any:
         """The encoder of the work that has not been handed over, outside of any pass."""
         if self._encoder is None:
             self._encoder = self.native.create_command_encoder()
@@ -354,7 +355,7 @@ class Device:
             self._parameters = bytearray()
         self.native.queue.submit([commands.finish()])
 
-    def _try(self, action):
+    def _try(self, action: Callable[[], Any]) -> Any:
         """The action's result; what goes wrong in it becomes a Failure."""
         import wgpu
 
@@ -370,7 +371,7 @@ class Device:
             raise Failure(_first_line(error)) from error
 
 
-def packed(values) -> bytes:
+def packed(values: Iterable[Any]) -> bytes:
     """Numbers and arrays one after the other, as a uniform structure of vec4 has them: whole numbers as u32, others as f32; each value
     begins a new vec4, and lists of numbers follow each other."""
     parts = []

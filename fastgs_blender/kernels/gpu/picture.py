@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Collection
 from dataclasses import dataclass, field
+from typing import Any
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -96,10 +97,10 @@ class DeviceBuffers(Buffers):
             shape = array.shape[:2] if squeeze else (*array.shape[:2], last - first)
             return Array(array.buffer, shape, array.dtype, (first, last, array.shape[2]))
 
-        def channels(where: slice, instead) -> Bands:
+        def channels(where: slice, instead: Any) -> Bands:
             return Bands([columns(band.channels, where.start, where.stop, False) for band in bands], instead)
 
-        def flat(place: int, instead) -> Bands:
+        def flat(place: int, instead: Any) -> Bands:
             return Bands([columns(band.flat, place, place + 1, True) for band in bands], instead)
 
         held = {name: flat(how.places[name], lambda name=name: getattr(again(), name)) for name in ("held", "covered") if how.occluder}

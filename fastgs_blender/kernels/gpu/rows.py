@@ -6,11 +6,12 @@ Stages that go through all rows are run for one piece after the other: runs of r
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import pairwise
 
 import numpy as np
+from numpy.typing import DTypeLike
 
 from .device import SLOT, Array, Buffer, Device
 
@@ -34,7 +35,7 @@ class Split:
 Rowed = Array | Split
 
 
-def empty_rows(device: Device, shape: tuple[int, ...], dtype=np.float32) -> Rowed:
+def empty_rows(device: Device, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Rowed:
     """An array [N, ...] that is not initialised."""
     width = math.prod(shape[1:])
     most = device.binding // (4 * max(width, 1)) // ROWS * ROWS
@@ -44,7 +45,7 @@ def empty_rows(device: Device, shape: tuple[int, ...], dtype=np.float32) -> Rowe
     return Split(parts, tuple(shape), np.dtype(dtype))
 
 
-def zero_rows(device: Device, shape: tuple[int, ...], dtype=np.float32) -> Rowed:
+def zero_rows(device: Device, shape: tuple[int, ...], dtype: DTypeLike = np.float32) -> Rowed:
     """An array [N, ...] of zeros."""
     found = empty_rows(device, shape, dtype)
     for part in parts_of(found):
@@ -52,7 +53,7 @@ def zero_rows(device: Device, shape: tuple[int, ...], dtype=np.float32) -> Rowed
     return found
 
 
-def as_rows(device: Device, values) -> Rowed:
+def as_rows(device: Device, values: np.ndarray) -> Rowed:
     """The values [N, ...] as an array of the device."""
     values = np.asarray(values)
     found, done = empty_rows(device, values.shape, values.dtype), 0
@@ -104,7 +105,7 @@ def add_in(device: Device, source: Buffer, at: int, array: Rowed, first: int, nu
     _copied(array, first, number, at, lambda part, begin, count, place: device.run("add", count, [[count, place, begin, 0]], source, part))
 
 
-def _copied(array: Rowed, first: int, number: int, at: int, copy) -> None:
+def _copied(array: Rowed, first: int, number: int, at: int, copy: Callable[..., None]) -> None:
     """copy(part, first number in it, how many, place in the buffer) for each part that holds some of the rows."""
     width, done = math.prod(array.shape[1:]), 0
     for part in parts_of(array):

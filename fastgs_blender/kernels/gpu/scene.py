@@ -9,6 +9,7 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...model.appearance import Changing, Features, momentary
+from ...model.motion import Basis
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
@@ -89,7 +90,7 @@ class View:
         look[Look.GRADED] *= not isinstance(model.appearance, Features)  # a decoder's colours are changed when it has made them
         ball, sampling = np.minimum(instance.ball, FARTHEST), instance.sampling
 
-        def plus_one(place):
+        def plus_one(place: int | None) -> int:
             return 0 if place is None else place + 1
 
         return [
@@ -109,7 +110,7 @@ class View:
         ]
 
 
-def _pairs(basis, t: float) -> np.ndarray:
+def _pairs(basis: Basis, t: float) -> np.ndarray:
     """(coefficient, weight) [M, 2] of a basis at a time, of those that count; none of a centred one."""
     if basis.centred:
         return np.zeros((0, 2))

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import SH, Features
+from ...model.appearance import SH, Appearance, Features
 from ...model.gaussians import GaussianModel
 from ...model.motion import Fourier, Polynomial
 from ...model.temporal import Radial
@@ -94,7 +94,7 @@ def _wrong_array(found: np.ndarray, wanted: np.ndarray) -> str:
     return "" if error < STRAY else f"{100 * error:.2g} %"
 
 
-def _model(look, n: int = N, small: float = 0.0) -> GaussianModel:
+def _model(look: Appearance, n: int = N, small: float = 0.0) -> GaussianModel:
     """A random model with a given appearance; small: how much smaller its Gaussians are, as a logarithm."""
     rng = np.random.default_rng(2)
     return GaussianModel(
@@ -173,7 +173,7 @@ def _sorted_by_pixel_and_blurred(backend: CPU) -> dict[str, np.ndarray]:
 # training
 
 
-def _gradients(backend: CPU, look, camera: Camera, n: int = N) -> dict[str, np.ndarray]:
+def _gradients(backend: CPU, look: Appearance, camera: Camera, n: int = N) -> dict[str, np.ndarray]:
     """The loss, its gradients and the statistics of density control, of a view."""
     model = _model(look, n)
     decoder = {name: getattr(look, name) for name in DECODER if hasattr(look, name)}

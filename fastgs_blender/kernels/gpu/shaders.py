@@ -33,13 +33,13 @@ CONSTANTS = text.CONSTANTS | {
 
 
 @cache
-def source(stage: str, subgroups: bool = False, **constants) -> str:
+def source(stage: str, subgroups: bool = False, **constants: float) -> str:
     """The shader of a stage; text.numbered() shows it with the numbers of its lines."""
-    def included(found) -> str:
+    def included(found: re.Match[str]) -> str:
         forward, _, backward = text.read(_file(found[1], subgroups)).partition(text.BACKWARD)
         return forward + backward * stage.endswith("_backward")
 
-    def threads(found) -> str:
+    def threads(found: re.Match[str]) -> str:
         return text.read(_file("threads")).replace("COUNT {", f"{found[1]} {{")
 
     own = re.sub(r"(?m)^//threads (.+)$", threads, text.read(_file(stage)))
@@ -48,7 +48,7 @@ def source(stage: str, subgroups: bool = False, **constants) -> str:
 
 def repeated(filled: str) -> str:
     """The text with the lines between //each and //end as often as they ask for, the inner ones first."""
-    def lines(found) -> str:
+    def lines(found: re.Match[str]) -> str:
         return "".join(re.sub(rf"\b{found[1]}\b", f"{k}u", found[3]) for k in range(int(found[2])))
 
     count = 1

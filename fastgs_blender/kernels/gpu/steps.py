@@ -86,7 +86,7 @@ def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, .
         device.run("mcmc_noise", len_(arrays[0]), job, *arrays, device.spilled)
 
 
-def adam(device: Device, rows: Array, tensors, betas: tuple[float, float], moved: Array, step: int) -> None:
+def adam(device: Device, rows: Array, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
     """TrainingBackend.adam()."""
     asserts.adam(tensors, moved)
     table = _table(device, *betas)

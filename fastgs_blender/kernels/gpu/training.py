@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NoReturn
 
 import numpy as np
 
@@ -89,7 +89,7 @@ def _bands(parts: list[Array]) -> Bands:
     return Bands(parts, _nothing_instead)
 
 
-def _nothing_instead():
+def _nothing_instead() -> NoReturn:
     raise Failure("it has failed before")
 
 
@@ -141,8 +141,9 @@ def over(device: Device, picture: ForwardPass, background: np.ndarray | None) ->
     return _over(device, picture, background, picture.rgb.shape)
 
 
-def agreement(device: Device, picture: ForwardPass, target: Array, weight: Array | None, least: Array | None, background, gain, bias, sides,
-              apart: float, solid: float, outlier: float) -> Array:
+def agreement(device: Device, picture: ForwardPass, target: Array, weight: Array | None, least: Array | None, background: np.ndarray | None,
+              gain: np.ndarray, bias: np.ndarray, sides: tuple[ForwardPass, ForwardPass] | None, apart: float, solid: float,
+              outlier: float) -> Array:
     """TrainingBackend.agreement()."""
     asserts.agreement(picture, target, weight, least, background, gain, bias, sides)
     whole, cover = _over(device, picture, background, target.shape)
@@ -156,8 +157,8 @@ def agreement(device: Device, picture: ForwardPass, target: Array, weight: Array
     return Array(total(device, sums).buffer, (19,), np.dtype(np.float64))
 
 
-def compare(device: Device, picture: ForwardPass, target: Array, weight: Array | None, background, dssim: float, opaque_weight: float,
-            share: float, least: Array | None = None) -> Comparison:
+def compare(device: Device, picture: ForwardPass, target: Array, weight: Array | None, background: np.ndarray | None, dssim: float,
+            opaque_weight: float, share: float, least: Array | None = None) -> Comparison:
     """TrainingBackend.compare()."""
     asserts.compare(picture, target, weight, background, least)
     height, width = target.shape[:2]
@@ -210,8 +211,9 @@ def total(device: Device, values: Array) -> Array:
     return Array(values.buffer, (columns,), values.dtype) if rows else device.zeros((columns,))
 
 
-def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *, into=None,
-             statistics=None, seen: Array | None = None, detach_time: bool = False) -> dict[str, Array]:
+def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
+             into: dict[str, Array] | None = None, statistics: Any = None, seen: Array | None = None,
+             detach_time: bool = False) -> dict[str, Array]:
     """TrainingBackend.backward()."""
     asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
     view: Seen = picture.state
@@ -266,7 +268,7 @@ def _decoder_backward(device: Device, view: Seen, rgb: Array, by_alpha: Array, w
     return found
 
 
-def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:
+def _observe(device: Device, view: Seen, sums: list[Array], statistics: Any) -> None:
     """Add the view to the statistics of density control."""
     camera = view.camera
     for pack, its in zip(view.packs, sums, strict=True):
@@ -279,7 +281,8 @@ def _observe(device: Device, view: Seen, sums: list[Array], statistics) -> None:
                    device.spilled)
 
 
-def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[str, Array], into, detach_time: bool) -> dict[str, Array]:
+def _to_parameters(device: Device, view: Seen, sums: list[Array], found: dict[str, Array], into: dict[str, Array] | None,
+                   detach_time: bool) -> dict[str, Array]:
     """Compute the gradients of the parameters from those of the splats; they are added to `into`, if given."""
     out: dict[str, Any] = {name: empty_rows(device, view.shapes[name]) for name in ORDER} if into is None else into
     project_view = View(device, view.instance, view.camera, view.layout)

@@ -5,7 +5,9 @@ Adam's steps are as long for a Gaussian at the edge of one picture as for one in
 backdrop at the edge of what was filmed would take on any colour that helps the fringe, and a camera that stands elsewhere would see
 blotches.  A pull towards the first colours, as strong as a few pixels, decides where there are no more pixels than that.
 """
+from collections.abc import Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -26,7 +28,7 @@ def anchor_features(features: np.ndarray, sizes: np.ndarray) -> np.ndarray:
     return np.where(np.isfinite(sizes)[:, None], features, np.nan).astype(np.float32)
 
 
-def backdrop_of(arrays: dict[str, np.ndarray], around) -> Backdrop | None:
+def backdrop_of(arrays: dict[str, np.ndarray], around: Sequence[float]) -> Backdrop | None:
     """The sphere outside of which the anchored Gaussians, and what lies behind them, are; None where none is anchored.
 
     around  x, y, z of the place that all cameras look at, and the distance from there of the farthest camera
@@ -36,12 +38,13 @@ def backdrop_of(arrays: dict[str, np.ndarray], around) -> Backdrop | None:
     anchored = np.isfinite(arrays[ANCHOR]).all(1) if ANCHOR in arrays else np.zeros(0, bool)
     if not anchored.any():
         return None
-    outermost = Backdrop(tuple(around[:3]), max(INNERMOST * around[3], 1e-6))
+    x, y, z, farthest = around
+    outermost = Backdrop((x, y, z), max(INNERMOST * farthest, 1e-6))
     nearest = float(outermost.distance(arrays["position"][anchored]).min())
     return replace(outermost, radius=outermost.radius * max(0.99 * nearest, 1.0))
 
 
-def anchor(backend, arrays: dict, gradients: dict, rows, pixels: int) -> None:
+def anchor(backend: Any, arrays: dict, gradients: dict, rows: Any, pixels: int) -> None:
     """Add the pull to the gradient of the features of those rows (of the backend) that are anchored.
 
     pixels  in a picture: each counts 1 / (3 pixels) in the mean absolute difference of three channels

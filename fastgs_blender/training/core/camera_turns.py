@@ -18,14 +18,16 @@ are unsure of: a poor model, or one seen by few cameras, is sure of wrong turns.
 """
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from ...cameras.camera import Camera
 from ...cameras.poses import turned
+from ...captures.capture import Shot
 from .camera_response import ALIKE_PIXELS, KEEP, OUTLIER, SETTLED, SOLID
+from .targets import Target
 
 FIRST, LAST = 0.05, 0.9
 """The part of a run, by its share of steps, in which poses are estimated: from small pictures on, where a turn is a small part of what they
@@ -104,7 +106,7 @@ class CameraTurns:
             return False
         return self.setting == "on" or self.differ or iteration < SETTLED * iterations
 
-    def measure(self, shot, target, picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
+    def measure(self, shot: Shot, target: Target, picture: np.ndarray, alpha: np.ndarray) -> np.ndarray:
         """The sums [14] over a shot's pixels that accumulate() takes.
 
         target   a Target, whose camera made the picture
@@ -132,7 +134,7 @@ class CameraTurns:
             missing = missing + square @ self.turns[self.views.index(shot.view)]
         return np.concatenate([square.ravel(), missing, [(weight * error**2).sum(), weight.sum()]])
 
-    def accumulate(self, measured) -> dict[str, np.ndarray]:
+    def accumulate(self, measured: Iterable[tuple[Shot, np.ndarray]]) -> dict[str, np.ndarray]:
         """A step's sums for update(), by name; measured: (shot, measure() of it) of each of its pictures."""
         sums = np.zeros_like(self.turn_sums)
         for shot, each in measured:

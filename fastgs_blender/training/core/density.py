@@ -4,14 +4,19 @@
 It runs once after every step, works on the rows of the optimiser, and its random numbers depend on the step alone, so that a
 resumed run and every process of a distributed one decide the same.
 """
+from typing import Any
+
 import numpy as np
 
 from ...model.appearance import Features
+from ...model.gaussians import GaussianModel
 from ...model.slicing import sigmoid
 from ...util import rotations
 from .anchor import ANCHOR
-from .optimiser import SHARED
+from .optimiser import SHARED, Rows
 from .schedule import DENSITY, NOISE, generator
+from .settings import Settings
+from .statistics import Statistics
 
 NOISE_STRENGTH, WEIGHTS = 0.1, (0.01, 0.01)
 """MCMC: share of the authors' noise, and weights of its penalties on opacity and on scale."""
@@ -28,7 +33,7 @@ class Strategy:
     holds = False
     """Whether it can leave the held Gaussians alone."""
 
-    def __init__(self, settings, extent: float, template, centres=None):
+    def __init__(self, settings: Settings, extent: float, template: GaussianModel, centres: np.ndarray | None = None) -> None:
         self.settings, self.extent, self.template = settings, extent, template
         self.centres = np.zeros((0, 3)) if centres is None else centres
         self.held = 0
@@ -55,17 +60,17 @@ class Strategy:
     acts = due
     """Whether after_step() must be called after this step."""
 
-    def after_step(self, iteration: int, optimiser, statistics, rates) -> bool:
+    def after_step(self, iteration: int, optimiser: Rows, statistics: Statistics, rates: dict) -> bool:
         """Change the optimiser's Rows; returns whether statistics must be begun anew.
 
         statistics: Statistics in NumPy arrays; rates: the step's learning rates.
         """
         raise NotImplementedError
 
-    def penalise(self, backend, arrays: dict, gradients: dict) -> None:
+    def penalise(self, backend: Any, arrays: dict, gradients: dict) -> None:
         """Add the gradients of penalties that depend on no view; called at every step, with arrays and gradients of the backend."""
 
-    def add_noise(self, backend, iteration: int, arrays: dict, rates: dict) -> None:
+    def add_noise(self, backend: Any, iteration: int, arrays: dict, rates: dict) -> None:
         """Move the backend's arrays at random after every step (counted from 1)."""
 
 
@@ -78,14 +83,14 @@ class Default(Strategy):
     name = "default"
     holds = True
 
-    def acts(self, iteration):
+    def acts(self, iteration: int) -> bool:
         return self.due(iteration) or self._resets(iteration)
 
-    def _resets(self, iteration):
+    def _resets(self, iteration: int) -> bool:
         every = self.settings.reset_every
         return bool(every) and self.first < iteration < self.last and iteration % every == 0
 
-    def after_step(self, iteration, optimiser, statistics, rates):
+    def after_step(self, iteration: int, optimiser: Rows, statistics: Statistics, rates: dict) -> bool:
         changed = False
         if self.due(iteration):
             self._prune(optimiser, statistics)
@@ -98,7 +103,7 @@ class Default(Strategy):
             optimiser.reset("opacity", rows)
         return changed
 
-    def _prune(self, optimiser, statistics):
+    def _prune(self, optimiser: Rows, statistics: Statistics) -> None:
         arrays = optimiser.arrays
         largest = np.minimum(self.extent, self.settings.prune_size * self._distance(optimiser))
         if ANCHOR in arrays:  # a hole in the backdrop makes its neighbours grow until they are removed too
@@ -113,7 +118,7 @@ class Default(Strategy):
         optimiser.take(rows)
         statistics.take(rows)
 
-    def _distance(self, optimiser):
+    def _distance(self, optimiser: Rows) -> np.ndarray:
         """Distance to the nearest camera [N].  Large Gaussians close to a camera are fog, which opposite cameras see as sky."""
         position = optimiser.arrays["position"].astype(np.float64)
         nearest = np.full(len(position), np.inf)
@@ -121,7 +126,7 @@ class Default(Strategy):
             nearest = np.minimum(nearest, np.linalg.norm(position - centre, axis=1))
         return nearest
 
-    def _grow(self, iteration, optimiser, statistics):
+    def _grow(self, iteration: int, optimiser: Rows, statistics: Statistics) -> None:
         s, arrays = self.settings, optimiser.arrays
         total = statistics.gradient if s.densify_gradient == "plain" else statistics.absolute
         score = total / np.maximum(statistics.seen, 1)
@@ -159,10 +164,10 @@ class MCMC(Strategy):
     name = "mcmc"
     most = 51
 
-    def penalise(self, backend, arrays, gradients):
+    def penalise(self, backend: Any, arrays: dict, gradients: dict) -> None:
         backend.mcmc_penalty(arrays, gradients, *WEIGHTS, self.extent)
 
-    def after_step(self, iteration, optimiser, statistics, rates):
+    def after_step(self, iteration: int, optimiser: Rows, statistics: Statistics, rates: dict) -> bool:
         if not self.due(iteration):
             return False
         rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"])
@@ -172,7 +177,7 @@ class MCMC(Strategy):
             self._add(iteration, optimiser, rng)
         return True
 
-    def _relocate(self, optimiser, dead, alive, rng):
+    def _relocate(self, optimiser: Rows, dead: np.ndarray, alive: np.ndarray, rng: np.random.Generator) -> None:
         arrays = optimiser.arrays
         if not len(dead):
             return
@@ -184,7 +189,7 @@ class MCMC(Strategy):
                 array[dead] = array[source]
                 optimiser.reset(name, dead)
 
-    def _add(self, iteration, optimiser, rng):
+    def _add(self, iteration: int, optimiser: Rows, rng: np.random.Generator) -> None:
         arrays = optimiser.arrays
         n = len(arrays["opacity"])
         room = self._room(iteration, n)
@@ -195,7 +200,7 @@ class MCMC(Strategy):
         self._share(optimiser, source)
         optimiser.append({name: array[source].copy() for name, array in arrays.items() if _per_gaussian(name)})
 
-    def _share(self, optimiser, source):
+    def _share(self, optimiser: Rows, source: np.ndarray) -> None:
         """Opacity and scale of Gaussians of which n + 1 copies replace one."""
         arrays = optimiser.arrays
         rows, copies = np.unique(source, return_counts=True)
@@ -208,7 +213,7 @@ class MCMC(Strategy):
             if _per_gaussian(name):
                 optimiser.reset(name, rows)
 
-    def add_noise(self, backend, iteration, arrays, rates):
+    def add_noise(self, backend: Any, iteration: int, arrays: dict, rates: dict) -> None:
         if iteration <= self.last:
             strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
             backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration))
@@ -217,7 +222,7 @@ class MCMC(Strategy):
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}
 
 
-def shift(arrays, centre, template):
+def shift(arrays: dict[str, np.ndarray], centre: np.ndarray, template: GaussianModel) -> None:
     """Move the temporal centre of rows without changing their trajectories: polynomials are expanded about the new centre.
 
     Features that depend on time are set to zero: far from the old centre they have no meaning.
@@ -230,14 +235,14 @@ def shift(arrays, centre, template):
         arrays["features"][:, 6:9] = 0
 
 
-def _inside(arrays, rows, rng):
+def _inside(arrays: dict[str, np.ndarray], rows: np.ndarray, rng: np.random.Generator) -> np.ndarray:
     """Random steps [M, 3] float32 with the distribution of each Gaussian."""
     local = rng.standard_normal((len(rows), 3)) * np.exp(arrays["scale"][rows].astype(np.float64))
     axes = rotations.to_matrices(rotations.unit(arrays["rotation"][rows].astype(np.float64)))
     return np.einsum("nij,nj->ni", axes, local).astype(np.float32)
 
 
-def _spread(opacity, count):
+def _spread(opacity: np.ndarray, count: np.ndarray) -> np.ndarray:
     """Sum of the powers of the opacity by which count equal Gaussians are together wider than one (eq. 9 of the paper)."""
     total = np.zeros(len(opacity))
     for i in range(1, int(count.max()) + 1):
@@ -250,9 +255,9 @@ def _spread(opacity, count):
     return np.maximum(total, 1e-12)
 
 
-def _logit(p):
+def _logit(p: Any) -> Any:
     return np.log(p / (1 - p))
 
 
-def _per_gaussian(name):
+def _per_gaussian(name: str) -> bool:
     return name not in SHARED

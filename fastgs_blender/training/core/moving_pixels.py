@@ -5,9 +5,13 @@ Most of a room stands still.  What moves covers few pixels, each in few pictures
 """
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from ...captures.capture import by_view
+from ...captures.capture import Shot, by_view
+from ...captures.pixels.store import Pixels
 from .targets import smaller
 
 LOOKS, FEWEST = 15, 4
@@ -24,10 +28,10 @@ class MovingPixels:
     shots  those that training uses, by which a camera's still picture is found
     """
 
-    def __init__(self, store, shots):
-        self._store, self._shots, self._still = store, by_view(shots), {}
+    def __init__(self, store: Any, shots: Sequence[Shot]) -> None:
+        self._store, self._shots, self._still = store, by_view(shots), dict[str, np.ndarray | None]()
 
-    def share(self, shot, pixels) -> np.ndarray | None:
+    def share(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
         """[h, w] float32 of a shot's pixels, as its camera filmed them: 0 stands still, 1 moves; None where it is not known."""
         still = self._still_picture(shot.view) if pixels.mask is None else None
         if still is None:
@@ -48,7 +52,7 @@ class MovingPixels:
             self._still[view] = self._median(shots) if usable else None
         return self._still[view]
 
-    def _median(self, shots):
+    def _median(self, shots: Sequence[Shot]) -> np.ndarray | None:
         picked = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, min(LOOKS, len(shots))).round().astype(int))]
         looks = [self._store.pixels(shot) for shot in picked]
         if any(look.mask is not None for look in looks):
@@ -66,7 +70,7 @@ def _share(picture: np.ndarray, still: np.ndarray, h: int, w: int) -> np.ndarray
     return share[np.ix_(rows, columns)]
 
 
-def _stands(shot, first) -> bool:
+def _stands(shot: Shot, first: Shot) -> bool:
     a, b = shot.camera, first.camera
     return a is b or (a is not None and b is not None and (a.width, a.height, a.fx, a.fy) == (b.width, b.height, b.fx, b.fy)
                       and np.array_equal(a.world_to_camera, b.world_to_camera))

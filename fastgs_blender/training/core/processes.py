@@ -6,7 +6,7 @@ All processes hold the same Gaussians and take the same steps, each with its sha
 """
 import json
 import os
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from typing import Any
 
@@ -21,7 +21,7 @@ class Processes:
 
     rank, count = 0, 1
 
-    def begin_step(self, backend) -> int:
+    def begin_step(self, backend: Any) -> int:
         """Begin a step; returns how many further steps may begin before its end is asked for."""
         return backend.begin_step()
 
@@ -30,11 +30,11 @@ class Processes:
         size = len(items) // self.count
         return items[self.rank * size:(self.rank + 1) * size]
 
-    def statistics(self, backend, statistics: Statistics) -> Statistics:
+    def statistics(self, backend: Any, statistics: Statistics) -> Statistics:
         """The statistics to which this process adds a step's views."""
         return statistics
 
-    def sum_step(self, backend, gradients: dict, seen, values: list, statistics: Statistics):
+    def sum_step(self, backend: Any, gradients: dict, seen: Any, values: list, statistics: Statistics) -> tuple:
         """The sums over all processes of gradients by name, seen [N], values [4] of each view, and statistics."""
         return gradients, seen, values, statistics
 
@@ -52,18 +52,18 @@ class Several(Processes):
         self.rank, self.count, self.device = rank, count, device
         self.in_step = False  # others wait for this one's sums
 
-    def begin_step(self, backend) -> int:
+    def begin_step(self, backend: Any) -> int:
         """As above; values that others wait for have to be right at once, so no step is ahead."""
         if not self.rank:
             self.send("step")
         self.in_step = True
         return 0
 
-    def statistics(self, backend, statistics: Statistics) -> Statistics:
+    def statistics(self, backend: Any, statistics: Statistics) -> Statistics:
         """As above: those so far are counted once."""
         return Statistics.empty(backend, statistics.radius.shape[0]) if self.rank else statistics
 
-    def sum_step(self, backend, gradients: dict, seen, values: list, statistics: Statistics):
+    def sum_step(self, backend: Any, gradients: dict, seen: Any, values: list, statistics: Statistics) -> tuple:
         """As above; arrays of the backend go through the host."""
         host = {name: backend.numpy(gradient) for name, gradient in gradients.items()}
         seen, sums, new = backend.numpy(seen), np.sum(backend.read(*values), 0), statistics.state(backend)
@@ -120,7 +120,7 @@ class Several(Processes):
 
 
 @contextmanager
-def joined():
+def joined() -> Iterator[Any]:
     """The processes that torchrun's environment describes; Processes without it."""
     count = int(os.environ.get("WORLD_SIZE", "1"))
     if count < 2 or "RANK" not in os.environ:

@@ -1,11 +1,15 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The schedule of training: learning rates, views and picture size as functions of the step alone, so that nothing must be saved."""
+from collections.abc import Sequence
 from functools import lru_cache
+from typing import Any
 
 import numpy as np
 
+from ...captures.capture import Shot
 from ...model.motion import Basis
 from .model import PLACE
+from .settings import Settings
 
 VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
 """What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
@@ -19,7 +23,7 @@ def generator(seed: int, purpose: int, *step: int) -> np.random.Generator:
     return np.random.default_rng([seed, purpose, *step])
 
 
-def learning_rates(settings, iteration: int, extent: float, depth: float, basis: Basis, warm: bool = False) -> dict:
+def learning_rates(settings: Settings, iteration: int, extent: float, depth: float, basis: Basis, warm: bool = False) -> dict:
     """The rate of every array at a step: a number, or a row of the array's columns.
 
     Lengths scale with the extent; positions begin with steps in proportion to the depth, how far away is what the cameras film, unless the
@@ -30,7 +34,7 @@ def learning_rates(settings, iteration: int, extent: float, depth: float, basis:
     first, last = settings.position_rate * (depth if settings.rate_unit == "depth" else extent), settings.position_rate_end * extent
     position = first * (last / first) ** done if first > 0 else 0.0
     motion = settings.motion_rate * extent * settings.motion_decay**done
-    features = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
+    features: Any = np.repeat([settings.base_rate, settings.direction_rate, settings.time_rate], 3)
     if settings.appearance != "features":
         features = settings.base_rate
         if settings.appearance != "rgb":  # 3DGS: higher bands at a twentieth
@@ -55,7 +59,7 @@ def learning_rates(settings, iteration: int, extent: float, depth: float, basis:
     return {name: rate * rest for name, rate in rates.items()}
 
 
-def reduction(settings, iteration: int) -> int:
+def reduction(settings: Settings, iteration: int) -> int:
     """The factor by which pictures are reduced at this step: 4, 2, then 1 (more warm_up values begin smaller)."""
     ahead = sum(iteration < end * settings.iterations for end in settings.warm_up)
     return 2**ahead
@@ -64,7 +68,7 @@ def reduction(settings, iteration: int) -> int:
 class Views:
     """Chooses the shots of each step: of one moment each, every moment once per round, every shot of a moment equally often."""
 
-    def __init__(self, shots, seed: int):
+    def __init__(self, shots: Sequence[Shot], seed: int) -> None:
         self.seed = seed
         moments: dict[int, list[int]] = {}
         for i, shot in enumerate(shots):
@@ -87,5 +91,5 @@ class Views:
 
 
 @lru_cache(maxsize=512)
-def _order(length, *key):
+def _order(length: int, *key: int) -> np.ndarray:
     return generator(*key).permutation(length)

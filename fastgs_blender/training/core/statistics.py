@@ -2,6 +2,8 @@
 """Screen statistics: sums of each Gaussian's gradients, views and radii in the pictures, from which density control decides."""
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 NAMES = ("gradient", "absolute", "seen", "radius")
@@ -16,24 +18,24 @@ class Statistics:
     radius    [N] float32  largest radius on the screen, of the box in which alpha reaches the cut, over the image's longer side
     """
 
-    def __init__(self, gradient, absolute, seen, radius):
+    def __init__(self, gradient: Any, absolute: Any, seen: Any, radius: Any) -> None:
         self.gradient, self.absolute, self.seen, self.radius = gradient, absolute, seen, radius
 
     @classmethod
-    def empty(cls, backend, count: int) -> Statistics:
+    def empty(cls, backend: Any, count: int) -> Statistics:
         """Nothing seen yet of `count` Gaussians."""
         return cls(*(backend.zeros((count,)) for _ in NAMES))
 
     @classmethod
-    def restored(cls, backend, arrays: dict[str, np.ndarray]) -> Statistics:
+    def restored(cls, backend: Any, arrays: dict[str, np.ndarray]) -> Statistics:
         """What state() gave, on a backend."""
         return cls(*(backend.array(np.array(arrays[name], np.float32)) for name in NAMES))
 
-    def state(self, backend) -> dict[str, np.ndarray]:
+    def state(self, backend: Any) -> dict[str, np.ndarray]:
         """The arrays by name, as NumPy arrays."""
         return {name: backend.numpy(getattr(self, name)) for name in NAMES}
 
-    def on_host(self, backend) -> Statistics:
+    def on_host(self, backend: Any) -> Statistics:
         """The same in NumPy arrays."""
         return Statistics(**self.state(backend))
 
@@ -44,7 +46,7 @@ class Statistics:
         self.seen += other.seen
         np.maximum(self.radius, other.radius, out=self.radius)
 
-    def take(self, rows) -> None:
+    def take(self, rows: np.ndarray) -> None:
         """Keep only these rows (indices or a mask); in NumPy arrays."""
         for name in NAMES:
             setattr(self, name, getattr(self, name)[rows])

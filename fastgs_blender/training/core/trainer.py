@@ -255,7 +255,7 @@ class Trainer:
         around = Surroundings(backdrop_of(host, self.around), viewpoints(self.capture))
         return replace(lasting(self.model(provenance | corrections_entry(self.cameras.facts()))), surroundings=around)
 
-    def measure(self, shots: Sequence[Shot]) -> dict:
+    def measure(self, shots: Sequence[Shot]) -> tuple[float, float | None, list]:
         """measure() of the model as it is now."""
         fit_colours = self.cameras.response.colours_differ
         return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name, fit_colours)

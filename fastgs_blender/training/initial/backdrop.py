@@ -3,9 +3,13 @@
 
 Without them training reproduces the background with Gaussians directly in front of each camera, wrong for all other cameras.
 """
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from ...captures.capture import Capture, Points
+from ...cameras.camera import Camera
+from ...captures.capture import Capture, Points, Shot
 from ...captures.pixels.store import FrameStore
 from ...model.filmed_from import directions
 from ...training.core.settings import Settings
@@ -74,15 +78,16 @@ def with_backdrop(capture: Capture, store: FrameStore, settings: Settings, point
                   np.concatenate([np.full(len(points), np.nan), np.full(len(xyz), apart)]).astype(np.float32), velocity)
 
 
-def _of_each_pose(shots):
+def _of_each_pose(shots: Sequence[Shot]) -> list[list[Shot]]:
     """The shots of each camera pose, a list of lists."""
-    poses = {}
+    poses: dict[tuple, list[Shot]] = {}
     for shot in shots:
-        poses.setdefault((shot.camera.world_to_camera.tobytes(), shot.camera.width, shot.camera.height), []).append(shot)
+        camera: Any = shot.camera
+        poses.setdefault((camera.world_to_camera.tobytes(), camera.width, camera.height), []).append(shot)
     return list(poses.values())
 
 
-def _eroded(mask, reach):
+def _eroded(mask: np.ndarray, reach: int) -> np.ndarray:
     """Where all of mask [h, w] within `reach` pixels along rows and columns is true; beyond the border nothing is known."""
     for axis in (0, 1):
         padded = np.pad(mask, [(reach, reach) if k == axis else (0, 0) for k in (0, 1)], constant_values=True)
@@ -91,7 +96,7 @@ def _eroded(mask, reach):
     return mask
 
 
-def _on_sphere(camera, pixels, centre, radius):
+def _on_sphere(camera: Camera, pixels: np.ndarray, centre: np.ndarray, radius: float) -> np.ndarray:
     """Where the rays through pixels leave the sphere."""
     eye = camera.centre
     rays = unproject(camera, pixels, np.ones(len(pixels))) - eye
@@ -101,7 +106,7 @@ def _on_sphere(camera, pixels, centre, radius):
     return eye + rays * (along + reach)[:, None]
 
 
-def _merged(directions, rgb, cells=48):
+def _merged(directions: np.ndarray, rgb: np.ndarray, cells: int = 48) -> tuple[np.ndarray, np.ndarray]:
     """One direction of each cell of a grid, and the mean colour there."""
     key = np.floor((directions + 1) * cells / 2).astype(int) @ [1, 1000, 1_000_000]
     _, first, group, counts = np.unique(key, return_index=True, return_inverse=True, return_counts=True)
@@ -109,7 +114,7 @@ def _merged(directions, rgb, cells=48):
     return directions[first], sums / counts[:, None]
 
 
-def _nearest(wanted, known):
+def _nearest(wanted: np.ndarray, known: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """Cosine to the nearest known unit vector and its index, for each wanted one."""
     best, index = np.empty(len(wanted)), np.empty(len(wanted), int)
     for start in range(0, len(wanted), 1024):

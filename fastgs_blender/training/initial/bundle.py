@@ -136,30 +136,30 @@ def turned_by(turns: np.ndarray, vectors: np.ndarray) -> np.ndarray:
     return rotations.to_matrices(rotations.exp(vectors / 2)) @ turns
 
 
-def _local(rig, tracks, points):
+def _local(rig: Rig, tracks: Tracks, points: np.ndarray) -> np.ndarray:
     return np.einsum("nij,nj->ni", rig.turns[tracks.camera], points[tracks.point] - rig.centres[tracks.camera])
 
 
-def _planes(rig, tracks):
+def _planes(rig: Rig, tracks: Tracks) -> np.ndarray:
     """The features' places [N, 2] on the image plane, by the rig's focal lengths."""
     return tracks.rays + (rig.shrink[tracks.camera] - 1)[:, None] * tracks.slopes
 
 
-def _focal(rig, tracks):
+def _focal(rig: Rig, tracks: Tracks) -> np.ndarray:
     """Focal lengths [N, 2] in pixels: an error is that of the feature in its picture, whose pixels stay where they are."""
     return rig.pixels[tracks.camera] / rig.shrink[tracks.camera, None]
 
 
-def _weights(off, width):
+def _weights(off: np.ndarray, width: float) -> np.ndarray:
     """Of squared errors in pixels [N]: Cauchy's, by the features' noise."""
     return 1 / (1 + (off**2).sum(1) / width**2) / NOISE**2
 
 
-def _solved(matrices, right):
+def _solved(matrices: np.ndarray, right: np.ndarray) -> np.ndarray:
     return np.linalg.solve(matrices, right[..., None])[..., 0]
 
 
-def _tightness(rig, tracks, points):
+def _tightness(rig: Rig, tracks: Tracks, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """1 / variance of the prior [V, 6] of rotation and place, and [L] of the lenses' focal lengths."""
     away = np.linalg.norm(points[tracks.point] - rig.centres[tracks.camera], axis=1)
     usual = np.median(away)
@@ -169,20 +169,20 @@ def _tightness(rig, tracks, points):
     return poses, np.full(rig.lens.max() + 1, FOCAL**-2)
 
 
-def _departure(given, rig):
+def _departure(given: Rig, rig: Rig) -> tuple[np.ndarray, np.ndarray]:
     """What the prior is about: [V, 6] rotation vectors and moves of the cameras, [L] changes of focal lengths."""
     lenses = np.zeros(rig.lens.max() + 1)
     lenses[rig.lens] = rig.shrink - 1
     return np.c_[turned(rig, given), rig.centres - given.centres], lenses
 
 
-def _cost(given, rig, tracks, points, width, tightness):
+def _cost(given: Rig, rig: Rig, tracks: Tracks, points: np.ndarray, width: float, tightness: tuple[np.ndarray, np.ndarray]) -> float:
     squares = (misses(rig, tracks, points) ** 2).sum(1)
     prior = sum((tight * off**2).sum() for tight, off in zip(tightness, _departure(given, rig)))
     return width**2 / NOISE**2 * np.log1p(squares / width**2).sum() + prior
 
 
-def _slopes(rig, tracks, points):
+def _slopes(rig: Rig, tracks: Tracks, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """misses [N, 2], and their derivatives by the camera's turn, place and shrink [N, 2, 7] and by the point [N, 2, 3]."""
     local = _local(rig, tracks, points)
     depth = np.where(local[:, 2] > 0, local[:, 2], np.inf)
@@ -196,7 +196,8 @@ def _slopes(rig, tracks, points):
     return off, np.concatenate([turning, -by_point, by_shrink], 2), by_point
 
 
-def _stepped(given, rig, tracks, points, width, tightness, damping):
+def _stepped(given: Rig, rig: Rig, tracks: Tracks, points: np.ndarray, width: float,
+             tightness: tuple[np.ndarray, np.ndarray], damping: float) -> tuple[Rig, np.ndarray]:
     """Rig and points after one damped Gauss-Newton step."""
     count, lenses = len(rig.turns), rig.lens.max() + 1
     size = 6 * count + lenses

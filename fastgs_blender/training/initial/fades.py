@@ -5,9 +5,12 @@ Automatic exposure follows what enters the picture.  What stands still then beco
 its pixels of their change is the camera's, whatever moves before it, as long as that covers less than half of the picture.  A change that
 all cameras show is the light's, and belongs to the model.
 """
+from collections.abc import Sequence
+from typing import Any
+
 import numpy as np
 
-from ...captures.capture import Capture, by_view
+from ...captures.capture import Capture, Shot, by_view
 from ...captures.exposures import BRIGHT, DARK
 from ...captures.pixels.store import FrameStore
 from ...training.core.settings import Settings
@@ -38,7 +41,7 @@ def fades_of(capture: Capture, store: FrameStore, settings: Settings) -> np.ndar
     return np.where(changes[:, None], fades, 0.0)
 
 
-def _fade(capture, store, settings, shots) -> tuple[np.ndarray, np.ndarray]:
+def _fade(capture: Capture, store: Any, settings: Settings, shots: Sequence[Shot]) -> tuple[np.ndarray, np.ndarray]:
     """The slopes [3] of one camera's brightness over the time -1 to 1, and their standard errors [3], NaN where nothing is told."""
     unknown = np.zeros(3), np.full(3, np.nan)
     shots = spread(shots, MOMENTS)

@@ -11,7 +11,7 @@ def project(camera: Camera, xyz: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     return load_backend("cpu").project_points(xyz, camera)
 
 
-def unproject(camera, places, depth) -> np.ndarray:
+def unproject(camera: Camera, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
     """World points [n, 3] behind pixels [n, 2] at depths [n]."""
     local = np.stack([(places[:, 0] - camera.cx) / camera.fx * depth, (places[:, 1] - camera.cy) / camera.fy * depth, depth], 1)
     return (local - camera.world_to_camera[:3, 3]) @ np.linalg.inv(camera.world_to_camera[:3, :3]).T
@@ -23,7 +23,7 @@ def visible(camera: Camera, xyz: np.ndarray) -> np.ndarray:
     return (depth > 0) & (places > 0).all(1) & (places < (camera.width, camera.height)).all(1)
 
 
-def sample(image, places) -> np.ndarray:
+def sample(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values [n, C] of an image [h, w, C] at the pixels nearest to places [n, 2]."""
     column, row = (np.clip(places[:, k].astype(int), 0, image.shape[1 - k] - 1) for k in (0, 1))
     return image[row, column]

@@ -4,6 +4,8 @@
 A plane sweep compares windows that face the camera, and a floor that is seen at a grazing angle looks different in each of them.  So the
 planes on which many points were found are swept too, in their own direction (Gallup et al. 2007): there windows lie in the surface.
 """
+from collections.abc import Sequence
+
 import numpy as np
 
 from ..core.schedule import POINTS, generator
@@ -53,18 +55,19 @@ def large(xyz: np.ndarray, seed: int) -> np.ndarray:
     return np.concatenate(found) if found else np.zeros((0, 4))
 
 
-def laid(pictures, depths: list[sweep.Depths | None], planes: np.ndarray, near: float, far: float) -> list[sweep.Depths | None]:
+def laid(pictures: Sequence[tuple], depths: list[sweep.Depths | None], planes: np.ndarray, near: float,
+         far: float) -> list[sweep.Depths | None]:
     """The depths of a moment's pictures, as sweep.swept() gives them, on the planes [P, 4] wherever pictures are clearly more alike so."""
     if not len(planes):
         return depths
 
-    def one(k, others):
+    def one(k: int, others: Sequence[tuple]) -> sweep.Depths | None:
         its, camera, pose = depths[k], pictures[k][1], pictures[k][1].world_to_camera
         normals = planes[:, :3] @ pose[:3, :3].T
         away = planes[:, 3] + normals @ pose[:3, 3]
         seen = np.abs(away) > 1e-9 * far  # not edge-on
         inverse = (normals[seen] / away[seen, None]) @ np.linalg.inv(matrix(camera))
-        if not len(inverse):
+        if its is None or not len(inverse):
             return its
         cost = sweep.differences(pictures[k], others, inverse)
         best, least = cost.argmin(0), cost.min(0)

@@ -6,18 +6,22 @@ Every fifth track is held back.  A refined camera is taken where the features th
 Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
 """
 import json
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from ...cameras import poses
-from ...captures.capture import Capture, by_view
+from ...cameras.camera import Camera
+from ...captures.capture import Capture, Shot, by_view
 from ...captures.evidence import AROUND, differs
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json, reading
+from ..core.settings import Settings
 from . import bundle, features
 from .dense import FEW_CAMERAS, enlarged, picture, spread
 from .geometry import sample
@@ -43,7 +47,8 @@ NOTHING: dict = {"cameras": {}}
 """What is known of a run whose cameras stay as they were given."""
 
 
-def refinement(capture: Capture, store, settings, path, begun: bool, say=print, progress=lambda done, of: None) -> dict:
+def refinement(capture: Capture, store: Any, settings: Settings, path: Path, begun: bool, say: Callable[[str], None] = print,
+               progress: Callable[[int, int], None] = lambda done, of: None) -> dict:
     """What is to be changed in the cameras of a run, which the file `path` keeps: a resumed run changes the same.
 
     begun  the run has a checkpoint: without that file it goes on with the cameras that were given
@@ -85,7 +90,8 @@ def kept(path: Path, capture: Capture) -> dict | None:
                                     for name in ("before", "after") if name in values}}
 
 
-def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambda done, of: None) -> dict:
+def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print,
+                    progress: Callable[[int, int], None] = lambda done, of: None) -> dict:
     """See refinement(); raises FastGSError where pycolmap is missing, or pictures cannot be read."""
     shots = by_view(capture.training)
     if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
@@ -95,7 +101,7 @@ def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambd
     if len(tracks) < ENOUGH:
         say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
         return NOTHING
-    rig = rig_of([shot.camera for shot in first.values()], [_lens(shot) for shot in first.values()], sizes)
+    rig = rig_of([shot.camera for shot in first.values() if shot.camera is not None], [_lens(shot) for shot in first.values()], sizes)
     better, before, after, used = compared(rig, tracks)
     if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):
         say(f"cameras: as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
@@ -111,7 +117,8 @@ def found_by_tracks(capture: Capture, store, settings, say=print, progress=lambd
     return {"cameras": changes, "before": round(before, 4), "after": round(after, 4)}
 
 
-def tracked(capture, store, settings, views, progress=lambda done, of: None) -> tuple[bundle.Tracks, np.ndarray]:
+def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[str],
+            progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[bundle.Tracks, np.ndarray]:
     """The tracks of features in the views' pictures of some moments, and the focal lengths [V, 2] of these pictures in pixels.
 
     progress(done, of) is called for each picture and for each moment's matches.
@@ -199,7 +206,7 @@ def _surely_better(given: bundle.Rig, better: bundle.Rig, held: bundle.Tracks) -
     return sure
 
 
-def rig_of(cameras, lenses, pixels) -> bundle.Rig:
+def rig_of(cameras: Sequence[Camera], lenses: Sequence, pixels: np.ndarray) -> bundle.Rig:
     """The rig of V cameras; those with equal intrinsics and equal `lenses` (any values) have one focal length.  pixels: see bundle.Rig."""
     matrices = np.array([camera.world_to_camera for camera in cameras])
     kinds = [(c.width, c.height, c.fx, c.fy, c.cx, c.cy, lens) for c, lens in zip(cameras, lenses)]
@@ -209,19 +216,19 @@ def rig_of(cameras, lenses, pixels) -> bundle.Rig:
                       np.array([known.index(kind) for kind in kinds]))
 
 
-def _stands(shots) -> bool:
+def _stands(shots: Sequence[Shot]) -> bool:
     """Whether a view has one perspective camera at all times."""
-    first = shots[0].camera
-    same = {(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in (shot.camera for shot in shots)}
+    first: Any = shots[0].camera
+    same = {(c.width, c.height, c.fx, c.fy, c.cx, c.cy, c.world_to_camera.tobytes()) for c in (shot.camera for shot in shots) if c}
     turn = first.world_to_camera[:3, :3]
     return len(same) == 1 and not first.orthographic and np.abs(turn @ turn.T - np.eye(3)).max() < 1e-6
 
 
-def _lens(shot):
+def _lens(shot: Shot) -> tuple | None:
     return None if shot.image is None else (shot.image.lens, shot.image.intrinsics)
 
 
-def _by_shrink(shot, plane, step=1e-3):
+def _by_shrink(shot: Shot, plane: np.ndarray, step: float = 1e-3) -> np.ndarray:
     """Derivative [F, 2] of places on the image plane by the factor between the given focal length and the true one.
 
     The lens' picture stays where it is: with a pinhole the places grow by that factor, else it is undistorted with another focal length.
@@ -233,7 +240,7 @@ def _by_shrink(shot, plane, step=1e-3):
     return (lens.undistort(distorted * (1 + step)) - lens.undistort(distorted * (1 - step))) / (2 * step)
 
 
-def _wide_enough(rig, tracks, points):
+def _wide_enough(rig: bundle.Rig, tracks: bundle.Tracks, points: np.ndarray) -> np.ndarray:
     """Whether the rays of each point [P] are LEAST_ANGLE degrees apart, as seen from the first one that tells."""
     rays = points[tracks.point] - rig.centres[tracks.camera]
     rays /= np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)

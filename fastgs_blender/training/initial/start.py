@@ -1,18 +1,24 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes the initial Gaussians of training, from an existing model or from starting points, with a backdrop behind them."""
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
+from ...cameras.camera import Camera
+from ...captures.capture import Capture, Shot
 from ...captures.clocks.find import by_epipolar_planes, stated_offsets
 from ..core.camera_response import FARTHEST, CameraResponse, CorrectedStore
+from ..core.settings import Settings
 from ..core.start import Start
 from . import backdrop, starting_points, warm_start
 from .fades import fades_of
 from .first_model import depth_of, model_from_points
 
 
-def start(capture, store, settings, say=print, progress=lambda done, of: None) -> Start:
+def start(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print,
+          progress: Callable[[int, int], None] = lambda done, of: None) -> Start:
     """What training on a capture begins with; progress(done, of) is called while points are looked for.
 
     Raises FastGSError where what the settings ask for gives nothing.
@@ -39,14 +45,14 @@ def start(capture, store, settings, say=print, progress=lambda done, of: None) -
     return Start(first, sizes, depth_of(found, capture), None, fades, clocks, warm=True)
 
 
-def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
+def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print) -> np.ndarray | None:
     """The clock offsets of the views trained on against the times of their shots, and their standard deviations [V, 2] in frames, as pairs
     of cameras show them (captures.clocks); a deviation of 0: unsure.  None where nothing can be compared, or nobody asks."""
     views = capture.training_views
     if settings.clocks == "off" or len(views) < 2:
         return None
 
-    def pictures(shots, small):
+    def pictures(shots: Sequence[Shot], small: Camera) -> Iterator[tuple[Shot, np.ndarray]]:
         return ((shot, store.pixels(shot).rgb) for shot in shots)
 
     found = by_epipolar_planes(replace(capture, shots=capture.training), pictures=pictures)
@@ -62,7 +68,7 @@ def expected_clocks(capture, store, settings, say=print) -> np.ndarray | None:
     return expected
 
 
-def _tell_unsure(capture, settings, gains: np.ndarray | None, say) -> None:
+def _tell_unsure(capture: Capture, settings: Settings, gains: np.ndarray | None, say: Callable[[str], None]) -> None:
     views = capture.training_views
     unsure = views if gains is None else [view for view, known in zip(views, gains[:, 1].all(1)) if not known]
     if settings.exposures == "auto" and unsure and len(views) > 1:
@@ -70,7 +76,7 @@ def _tell_unsure(capture, settings, gains: np.ndarray | None, say) -> None:
         say(f"exposures: unsure for {some}, which see too little that other cameras see; they stay as they are")
 
 
-def _steady(capture, store, settings, say):
+def _steady(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None]) -> tuple[Any, Any]:
     """The store with colours whose exposures do not change over time, and the fades that were taken out; or the store itself, and None."""
     if settings.exposures == "off":
         return store, None

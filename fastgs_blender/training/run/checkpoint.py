@@ -48,7 +48,7 @@ def load(folder: Path) -> tuple[dict[str, np.ndarray], dict] | None:
     return arrays, about
 
 
-def write_json(path: Path, values) -> None:
+def write_json(path: Path, values: object) -> None:
     """A small JSON file, all of it or what was there before."""
     with writing([path]) as (part,):
         part.write_text(json.dumps(values, indent=2, allow_nan=False) + "\n", "utf-8")

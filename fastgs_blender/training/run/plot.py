@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws loss and PSNR of a run over its steps, with Pillow."""
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -30,7 +31,7 @@ def series(rows: list[dict], name: str) -> np.ndarray:
     return found[np.isfinite(found).all(1)]
 
 
-def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]):
+def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]) -> Any:
     """The picture: loss on the left axis (logarithmic), decibels on the right."""
     from PIL import Image, ImageDraw
 
@@ -66,13 +67,13 @@ def draw(loss: np.ndarray, decibels: dict[str, np.ndarray]):
     return image
 
 
-def _span(values, least):
+def _span(values: np.ndarray, least: float) -> tuple[float, float]:
     low, high = float(values.min()), float(values.max())
     spare = max(least - (high - low), 0) / 2 + 0.04 * (high - low)
     return low - spare, high + spare
 
 
-def _line(pen, box, x, y, colour):
+def _line(pen: Any, box: tuple, x: np.ndarray, y: np.ndarray, colour: Any) -> None:
     if len(x) > 1:
         across, down = box[0] + x * (box[2] - box[0]), box[3] - y * (box[3] - box[1])
         pen.line([(float(a), float(b)) for a, b in zip(across, down)], fill=colour, width=2)

@@ -8,10 +8,13 @@ import importlib.util
 import json
 import os
 import time
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from ...captures.capture import Shot
 from ...util.errors import FastGSError
 from ...util.outputs import appending, writing
 from ...util.progress import progress
@@ -42,8 +45,8 @@ class Reporter:
 
     device = ""
 
-    def __init__(self, folder, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False,
-                 clock=time.monotonic):
+    def __init__(self, folder: Path, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False,
+                 clock: Callable[[], float] = time.monotonic) -> None:
         self.folder, self.iterations = Path(folder), iterations
         self.clock = clock
         self.before, self.started, self.begin = elapsed, clock(), begin
@@ -79,7 +82,7 @@ class Reporter:
         """Something that went wrong, and did not end the run; always shown."""
         self.bar.say(f"fastgs: {text}")
 
-    def fill(self, store, shots):
+    def fill(self, store: Any, shots: Sequence[Shot]) -> None:
         """Decode the pictures that are not in the cache yet, with a bar of their own."""
         if missing := store.missing(shots):
             with self.stage("decoding", "picture") as report:
@@ -89,21 +92,21 @@ class Reporter:
                           "time, which is slower; FASTGS_CACHE_GB says how many GB it may take.")
 
     @contextlib.contextmanager
-    def stage(self, what, unit="moment"):
+    def stage(self, what: str, unit: str = "moment") -> Iterator[Callable[[int, int], None]]:
         """Something long before the first step: gives report(done, of), which is called as it goes on.
 
         It has a bar of its own, and is in status.json as `stage` and `stage_share`.
         """
         with progress(1, unit, what, quiet=self.quiet, clock=self.clock) as bar:
 
-            def report(done, of):
+            def report(done: int, of: int) -> None:
                 bar.to(done, of)
                 if done in (0, of) or self.clock() - self.status_time > STATUS_SECONDS:
                     self.status("preparing", stage=what, stage_share=round(done / max(of, 1), 3))
 
             yield report
 
-    def step(self, values):
+    def step(self, values: dict) -> None:
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""
         iteration = values["iteration"]
         self.last = values
@@ -122,7 +125,7 @@ class Reporter:
             self.status("training", **values)
         barrier.wait("step", iteration)
 
-    def status(self, state, **values):
+    def status(self, state: str, **values: Any) -> None:
         """status.json: state is preparing, training, stopped, failed or finished."""
         self.state, self.status_time = state, self.clock()
         values = {**self.last, **values}
@@ -133,7 +136,7 @@ class Reporter:
                  "elapsed_seconds": round(self.elapsed, 2), "seconds_left": None if left is None else round(left, 1)}
         self._safely("the status file", lambda: checkpoint.write_json(self.folder / STATUS, finite(about)))
 
-    def preview(self, iteration, picture, values):
+    def preview(self, iteration: int, picture: np.ndarray, values: dict) -> None:
         """A picture [h, w, 3] 0..1 of a view, and what was measured on it; the plot follows."""
         self._safely("a preview picture", lambda: self._write_preview(iteration, picture))
         self._log({"iteration": iteration, **values})
@@ -149,7 +152,7 @@ class Reporter:
             self.board.close()
         self._safely("the plot of the loss", lambda: write_plot(self.folder / PLOT, self.folder / LOG))
 
-    def _write_preview(self, iteration, picture):
+    def _write_preview(self, iteration: int, picture: np.ndarray) -> None:
         from PIL import Image
 
         folder = self.folder / PREVIEWS
@@ -158,7 +161,7 @@ class Reporter:
         with writing([folder / f"{iteration:06d}.png"]) as (part,), part.open("wb") as file:
             Image.fromarray(pixels).save(file, format="PNG")
 
-    def _log(self, row):
+    def _log(self, row: dict) -> None:
         if self.log:
             self._safely("the log", lambda: self.log.write(json.dumps(finite(row)) + "\n"))
         if self.board:
@@ -179,7 +182,7 @@ class Reporter:
 
         self._safely("the log", write)
 
-    def _board(self):
+    def _board(self) -> Any:
         if os.environ.get("FASTGS_NO_TENSORBOARD"):
             return None
         if not importlib.util.find_spec("tensorboard"):  # torch is imported for nothing else here
@@ -190,7 +193,7 @@ class Reporter:
             return None
         return self._safely("TensorBoard's file", lambda: SummaryWriter(str(self.folder / BOARD), purge_step=self.begin + 1))
 
-    def _safely(self, what, write):
+    def _safely(self, what: str, write: Callable[[], Any]) -> Any:
         try:
             return write()
         except (FastGSError, OSError) as error:

@@ -6,7 +6,7 @@ The finished model has the same bytes whether or not the run was interrupted.
 import contextlib
 import json
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from ... import formats
-from ...captures.capture import Capture
+from ...captures.capture import Capture, Shot
 from ...captures.pixels.store import FrameStore
 from ...captures.refined import refined
 from ...evaluation import training_record
@@ -48,8 +48,8 @@ MEMORY = 768 << 20
 """Bytes of pictures kept in memory."""
 
 
-def run(capture, store, plan: Plan, out, *, quiet: bool = False, reporter_type=Reporter, backend: str = "cpu",
-        processes: Processes | None = None) -> dict:
+def run(capture: Capture, store: Any, plan: Plan, out: str | Path, *, quiet: bool = False, reporter_type: type[Reporter] = Reporter,
+        backend: str = "cpu", processes: Processes | None = None) -> dict:
     """Train, or continue, the run in a folder; returns the report.
 
     capture, store  see captures.capture; plan  what plan.begin() gave; backend  its name (util/backends.py)
@@ -216,7 +216,8 @@ def at_limits(found: dict) -> list[str]:
             for what, how, remedy, values, most in pairs if (far := [view for view, value in values.items() if abs(value) >= most])]
 
 
-def take_steps(trainer: Trainer, reporter, save: Callable[[bool], None], stop: Callable[[], bool], preview=(), before: int = 0) -> bool:
+def take_steps(trainer: Trainer, reporter: Reporter, save: Callable[[bool], None], stop: Callable[[], bool], preview: Sequence[Shot] = (),
+               before: int = 0) -> bool:
     """Take all steps that are left; returns whether the run is complete.
 
     save()   writes a checkpoint; called at the end, and about every settings.checkpoint_seconds (0: after every step)

@@ -2,6 +2,7 @@
 """Stops a run when its user asks for it: with everything saved."""
 import signal
 import threading
+from typing import Any
 
 from ...util.stopping import SIGNALS
 
@@ -27,11 +28,11 @@ class StopFlag:
             self._before = {number: signal.signal(number, self._handle) for number in SIGNALS if signal.getsignal(number) != signal.SIG_IGN}
         return self
 
-    def __exit__(self, *error):
+    def __exit__(self, *error: object) -> None:
         for number, old in self._before.items():
             signal.signal(number, old)
 
-    def _handle(self, number, frame):
+    def _handle(self, number: int, frame: Any) -> None:
         if self.asked or not self.patient:
             raise KeyboardInterrupt
         self.asked = True
