@@ -360,7 +360,7 @@ def test_a_killed_run_leaves_whole_frames_and_goes_on(run, work, model, start, k
             assert read_exr(work / "out" / name)["A"].shape == (64, 96)
     if kill != signal.SIGKILL:
         assert names(work) == frames
-        assert "stopped" in err.splitlines()[-1]
+        assert "stopped" in err
     before = (work / "out" / frames[0]).stat().st_mtime_ns
     assert run("--frames", f"0:{len(frames)}", "--format", kind, "--size", "96x64")[0] == 0
     assert (work / "out" / f"{len(frames):04d}.{kind}").exists()
