@@ -10,6 +10,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 from .shadow import Light
@@ -88,7 +89,7 @@ def flat(spread: float = np.pi) -> Beam:
     return beam
 
 
-def dome(radiance, directions: int = 32) -> Lamp:
+def dome(radiance: ArrayLike, directions: int = 32) -> Lamp:
     """The world around, of one radiance [3]: suns all around."""
     return Lamp(Light(Light.ball(np.zeros(3), 1.0, directions).points, True), 4 * np.pi * np.asarray(radiance, np.float64))
 
@@ -110,7 +111,7 @@ def panorama(radiance: np.ndarray, directions: int = 32) -> Lamp | None:
     if not energy.any():
         return None
 
-    def measured(top, bottom, left, right):
+    def measured(top: int, bottom: int, left: int, right: int) -> tuple[float, tuple[float, float], tuple[int, int, int, int]]:
         """(how far its light spreads, its sides in radians, where it lies) of a part."""
         sides = (bottom - top) * np.pi / height, (right - left) * 2 * np.pi / width * np.cos(up[top:bottom]).max()
         spread = (sides[0] ** 2 + sides[1] ** 2) * energy[top:bottom, left:right].sum()

@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from ..cameras.camera import Camera
 from ..util.errors import FastGSError
@@ -40,7 +41,7 @@ class Light:
         object.__setattr__(self, "points", points)
 
     @classmethod
-    def sun(cls, towards, angle: float = 0.0, samples: int = 32) -> Light:
+    def sun(cls, towards: ArrayLike, angle: float = 0.0, samples: int = 32) -> Light:
         """A sun in a direction (towards it), which is seen under an angle in radians."""
         z = np.asarray(towards, float) / max(np.linalg.norm(towards), 1e-30)
         x, y = across(z) * np.tan(min(angle, 3.0) / 2)
@@ -48,14 +49,14 @@ class Light:
         return cls(points / np.linalg.norm(points, axis=1, keepdims=True), True)
 
     @classmethod
-    def disc(cls, centre, x, y, samples: int = 32) -> Light:
+    def disc(cls, centre: ArrayLike, x: ArrayLike, y: ArrayLike, samples: int = 32) -> Light:
         """An ellipse around a centre, with the half axes x and y."""
         u, v, side = _spread(samples)
         radius, turn = side * np.sqrt(u), 2 * np.pi * v
         return cls(centre + radius * (np.cos(turn) * np.asarray(x, float) + np.sin(turn) * np.asarray(y, float)))
 
     @classmethod
-    def ball(cls, centre, radius: float, samples: int = 32) -> Light:
+    def ball(cls, centre: ArrayLike, radius: float, samples: int = 32) -> Light:
         """A ball around a centre: points of its surface."""
         k = np.arange(samples) + 0.5
         z, turn = 1 - 2 * k / samples, np.pi * (1 + 5**0.5) * k
@@ -64,7 +65,7 @@ class Light:
         return cls(centre + radius * ball)
 
     @classmethod
-    def rectangle(cls, centre, x, y, samples: int = 32) -> Light:
+    def rectangle(cls, centre: ArrayLike, x: ArrayLike, y: ArrayLike, samples: int = 32) -> Light:
         """A rectangle (or parallelogram) around a centre, which reaches to x and to y and as far to the other side."""
         u, v, side = _spread(samples)
         return cls(centre + side * ((2 * u - 1) * np.asarray(x, float) + (2 * v - 1) * np.asarray(y, float)))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
@@ -67,7 +68,7 @@ class TileLists:
     entries: int
 
 
-def list_tiles(device: Device, order: Buffer, splats, grid: tuple[int, int, int, int], most: int, guess: bool = False,
+def list_tiles(device: Device, order: Buffer, splats: Any, grid: tuple[int, int, int, int], most: int, guess: bool = False,
                only: tuple[Array, int] | None = None) -> TileLists:
     """The lists of a grid of tiles for splats (splats.Piece) in their order; raises TooLarge where they have over `most` entries.
 

@@ -6,8 +6,10 @@ after it that its statistics are there in any case.  So every run updates at the
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from copy import deepcopy
 from dataclasses import dataclass, field, replace
+from typing import Any
 
 import numpy as np
 
@@ -42,7 +44,7 @@ class CameraEstimates:
         turns = CameraTurns.initial(capture.training, settings.poses, {} if start is None else start.unsure)
         return cls(response, turns, settings.iterations)
 
-    def measure(self, backend, iteration: int, views: list, splat) -> list:
+    def measure(self, backend: Any, iteration: int, views: list, splat: Callable[..., Any]) -> list:
         """Arrays of the backend from which accumulate() makes the step's statistics; splat(view, later) renders a view so much later."""
         arrays = []
         if self.response.is_due(iteration, self.iterations):

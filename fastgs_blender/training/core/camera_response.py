@@ -15,7 +15,7 @@ cameras that see the same thing show that they differ (captures/evidence.py), an
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -25,6 +25,7 @@ from ...captures import exposures as shared_colours
 from ...captures.capture import Shot
 from ...captures.clocks.find import LEAST as LEAST_CLOCK
 from ...captures.evidence import differs, limits
+from ...captures.pixels.store import Pixels
 from ...training.core.settings import Settings
 
 KEEP = 0.8
@@ -138,7 +139,7 @@ class CameraResponse:
         offset = self.offsets[self.views.index(shot.view)] if self.clocks_differ and shot.view in self.views else 0.0
         return shot.t + float(offset) * self.frame
 
-    def pixels(self, shot, pixels):
+    def pixels(self, shot: Shot, pixels: Pixels) -> Pixels:
         """A shot's pixels (captures.pixels.store.Pixels) in the model's colours; overexposed ones only say how bright it is at least."""
         if not self.colours_differ or shot.view not in self.views:
             return pixels
@@ -178,7 +179,8 @@ class CameraResponse:
         """Whether the estimation continues; with auto it ends at SETTLED if cameras have not differed noticeably until then."""
         return setting == "on" or (setting == "auto" and (differ or iteration < SETTLED * iterations))
 
-    def measure(self, backend, shot, picture, target, weight, least, background, sides):
+    def measure(self, backend: Any, shot: Shot, picture: Any, target: Any, weight: Any, least: Any, background: np.ndarray | None,
+                sides: Sequence | None) -> Any:
         """The sums [19] over a shot's pixels that accumulate() takes, as an array of the backend (TrainingBackend.agreement).
 
         picture   the model's;  target, weight, least: of the Target, in the model's colours, on the backend
@@ -188,7 +190,7 @@ class CameraResponse:
         gain, bias = (self.gains[k], self.biases[k]) if self.colours_differ else (np.ones(3), np.zeros(3))
         return backend.agreement(picture, target, weight, least, background, gain, bias, sides, 2 * APART, SOLID, OUTLIER)
 
-    def accumulate(self, measured) -> dict[str, np.ndarray]:
+    def accumulate(self, measured: Iterable[tuple[Shot, np.ndarray]]) -> dict[str, np.ndarray]:
         """A step's sums for update(), by name; measured: (shot, measure() of it) of each of its pictures."""
         colour, clock = np.zeros_like(self.colour_sums), np.zeros_like(self.clock_sums)
         for shot, sums in measured:
@@ -294,5 +296,5 @@ class CorrectedStore:
     store: Any
     response: CameraResponse
 
-    def pixels(self, shot):
+    def pixels(self, shot: Shot) -> Pixels:
         return self.response.pixels(shot, self.store.pixels(shot))

@@ -6,7 +6,9 @@ the same points in every run.
 """
 import signal
 import threading
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from types import ModuleType
 
 import numpy as np
 
@@ -39,7 +41,7 @@ class Features:
     camera: Camera
 
 
-def pycolmap_module():
+def pycolmap_module() -> ModuleType:
     """pycolmap; raises FastGSError where it is not installed."""
     terminate = signal.getsignal(signal.SIGTERM)
     try:
@@ -49,11 +51,12 @@ def pycolmap_module():
     # Its log takes SIGTERM for a crash; a training run saves and stops.
     if terminate is not None and threading.current_thread() is threading.main_thread():
         signal.signal(signal.SIGTERM, terminate)
-    pycolmap.logging.minloglevel = pycolmap.logging.FATAL  # it reports every step, and its failures are told in our own words
+    # It reports every step, and its failures are told in our own words.
+    pycolmap.logging.minloglevel = pycolmap.logging.FATAL  # type: ignore[assignment]
     return pycolmap
 
 
-def extractor():
+def extractor() -> Callable[[np.ndarray], tuple[np.ndarray, np.ndarray]]:
     """A function from a picture [h, w, 3] in 0..1 to (places [F, 2], descriptors [F, 128])."""
     pycolmap = pycolmap_module()
     options = pycolmap.FeatureExtractionOptions()
@@ -61,7 +64,7 @@ def extractor():
     options.sift.max_num_features, options.sift.peak_threshold = MOST_FEATURES, PEAK
     sift = pycolmap.FeatureExtractor.create(options, pycolmap.Device.cpu)
 
-    def extract(rgb):
+    def extract(rgb: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         keypoints, described = sift.extract_from_uint8_array(np.uint8(rgb @ np.array([0.299, 0.587, 0.114]) * 255 + 0.5))
         places, descriptors = pycolmap.keypoints_to_matrix(keypoints), np.asarray(described.data, np.float32)
         order = np.lexsort(places.T[::-1])
@@ -71,7 +74,7 @@ def extractor():
     return extract
 
 
-def fundamental(a, b) -> np.ndarray:
+def fundamental(a: Camera, b: Camera) -> np.ndarray:
     """F [3, 3] with x_b^T F x_a = 0 for the pixels (homogeneous) of two cameras."""
     between = b.world_to_camera @ np.linalg.inv(a.world_to_camera)
     x, y, z = between[:3, 3]
@@ -111,7 +114,7 @@ def matches(a: Features, b: Features, within: float = ON_LINE) -> np.ndarray:
     return np.stack([rows[good], best[good]], 1)
 
 
-def neighbours(cameras, count: int = NEIGHBOURS) -> list[tuple[int, int]]:
+def neighbours(cameras: Iterable[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Pairs of cameras that may show the same: each with the `count` that stand and look most alike.
 
     Features of cameras that look in directions far apart look different: what matches there does so by chance.
@@ -169,7 +172,7 @@ def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray
     return np.array(points).reshape(-1, 3), seen_by
 
 
-def reprojection(features, number, pose, point) -> float:
+def reprojection(features: Features, number: int, pose: np.ndarray, point: np.ndarray) -> float:
     """Pixels between a feature and the image of a point; inf behind the camera."""
     x, y, z = pose[:, :3] @ point + pose[:, 3]
     if z <= 0:
@@ -178,7 +181,7 @@ def reprojection(features, number, pose, point) -> float:
     return float(np.hypot(*(np.array([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy]) - features.places[number])))
 
 
-def widest_angle(rays) -> float:
+def widest_angle(rays: np.ndarray) -> float:
     """The largest angle between any two of the rays [n, 3], in degrees."""
     unit = rays / np.maximum(np.linalg.norm(rays, axis=1, keepdims=True), 1e-12)
     return float(np.degrees(np.arccos(np.clip((unit @ unit.T).min(), -1, 1))))

@@ -4,6 +4,7 @@
 It finds for every pixel of every picture the depth at which its neighbours show the same colours (Collins 1996; best half of the
 neighbours, so that occlusion in some does not matter).  Where several pictures agree on a depth there is a surface.
 """
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,21 +45,21 @@ class Depths:
     range: np.ndarray
 
 
-def swept(pictures, near: float, far: float) -> list[Depths | None]:
+def swept(pictures: Sequence[tuple], near: float, far: float) -> list[Depths | None]:
     """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment; None for one without neighbours."""
     depths = 1 / np.linspace(1 / near, 1 / far, DEPTHS)
     planes = np.stack([0 * depths, 0 * depths, 1 / depths], 1)
     return for_each(pictures, near, far, lambda k, others: _depths(differences(pictures[k], others, planes), depths))
 
 
-def for_each(pictures, near: float, far: float, found) -> list[Depths | None]:
+def for_each(pictures: Sequence[tuple], near: float, far: float, found: Callable[[int, list[tuple]], Depths | None]) -> list[Depths | None]:
     """found(k, the pictures that the k-th is compared with) of each picture of a moment, in threads; None for one without neighbours."""
     looking = np.array([camera.world_to_camera[2, :3] for _, camera, _ in pictures])
     centres = np.array([camera.centre for _, camera, _ in pictures])
     degrees = np.degrees(np.arccos(np.clip(looking @ looking.T, -1, 1)))
     apart = np.linalg.norm(centres[:, None] - centres[None], axis=-1)
 
-    def one(k):
+    def one(k: int) -> Depths | None:
         # Parallel cameras beside each other see a place at an angle too.
         angle = np.maximum(degrees[k], np.degrees(apart[k] / np.sqrt(near * far)))
         usable = (angle >= LEAST_ANGLE) & (degrees[k] <= MOST_ANGLE) & (apart[k] > 0)
@@ -68,7 +69,7 @@ def for_each(pictures, near: float, far: float, found) -> list[Depths | None]:
     return threads.run(one, [(k,) for k in range(len(pictures))])
 
 
-def differences(picture, others, planes: np.ndarray) -> np.ndarray:
+def differences(picture: tuple, others: Sequence[tuple], planes: np.ndarray) -> np.ndarray:
     """Differences of colour [D, h, w] between a picture and the better half of the others, were its surface on each plane [D, 3], by which
     the pixel (u, v) has the inverse depth plane @ (u, v, 1)."""
     image, camera, _ = picture
@@ -94,7 +95,7 @@ def _depths(cost: np.ndarray, depths: np.ndarray) -> Depths:
     return Depths(np.where(ratio < VAGUE, 1 / inverse, farthest), least, ratio)
 
 
-def surfaces(pictures, found: list[Depths | None], witnesses: int = 3) -> list[tuple[np.ndarray, np.ndarray]]:
+def surfaces(pictures: Sequence[tuple], found: list[Depths | None], witnesses: int = 3) -> list[tuple[np.ndarray, np.ndarray]]:
     """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and so many pictures have the same depth, itself
     included (all, where there are fewer)."""
     clouds = []
