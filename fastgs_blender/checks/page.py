@@ -10,8 +10,7 @@ import numpy as np
 
 from ..util.errors import FastGSError, printable
 from ..util.outputs import replacing
-from .report import SEVERITIES, CheckReport, Picture
-from .section import Finding
+from .report import SEVERITIES, CheckReport, Finding, Picture
 
 PAGE, VALUES = "check.html", "check.json"
 QUALITY = 82
