@@ -20,8 +20,9 @@ INPUTS = (
     ("Splats", COLOUR, None), ("Splat Alpha", NUMBER, 0.0), ("Splat Depth", NUMBER, 1e10), ("Splat Holdout", NUMBER, 0.0),
     ("Meshes", COLOUR, None), ("Mesh Alpha", NUMBER, 0.0), ("Mesh Depth", NUMBER, 1e10),
     ("Shadow Catcher", COLOUR, (1.0, 1.0, 1.0, 1.0)), ("Catcher Bias", NUMBER, 0.2), ("World", COLOUR, None), ("Transparent", NUMBER, 0.0),
+    ("Held Out", NUMBER, 0.0),
 )
-"""Sockets of the group that joins: name, type, value where nothing is linked; nothing is transparent."""
+"""Sockets of the group that joins: name, type, value where nothing is linked; nothing is transparent, or held out."""
 SHADED = (("Image", COLOUR, None), ("Lamp", COLOUR, None), ("Splat Shadow", NUMBER, 1.0), ("Shadow Strength", NUMBER, 1.0),
           ("Denoise", NUMBER, 0.0))
 """Sockets of the group that takes a lamp's light away; engines denoise the image, and not the light of one lamp."""
@@ -41,6 +42,8 @@ WHOLE = 0.99
 """Light of a pixel from which on meshes have stopped all of it."""
 REACH, FAR = 3, 32
 """Pixels around a sharp edge, and around a blurred one, in which colours are looked for."""
+HELD = 0.2
+"""Light of a pixel that meshes stop beyond what they cover, from which on some of it is a holdout's; from twice as much on all is."""
 SHARP = 0.95
 """Share of the opacity of splats far around that those nearby have at a sharp edge."""
 
@@ -91,6 +94,10 @@ def join(tree: bpy.types.NodeTree) -> None:
     clear = math('MULTIPLY', math('SUBTRACT', 1.0, given["Splat Alpha"]), given["Mesh Alpha"])
     free = math('LESS_THAN', given["Splat Holdout"], FAINT)
     factor = math('ADD', math('DIVIDE', given["Splat Holdout"], clear), free)
+    # where a mesh, or its blur, covers a part of a pixel before one of Blender's own holdouts, the rest of the pixel is a hole
+    beyond = math('SUBTRACT', math('DIVIDE', given["Splat Holdout"], math('SUBTRACT', 1.0, given["Splat Alpha"])), given["Mesh Alpha"])
+    own = math('MULTIPLY', math('DIVIDE', math('SUBTRACT', beyond, HELD), HELD, clamp=True), given["Held Out"])
+    factor = math('MULTIPLY', factor, math('SUBTRACT', 1.0, math('MULTIPLY', own, math('SUBTRACT', 1.0, given["Mesh Alpha"]))))
     held = _clean(b, _alpha(b, 'Apply Mask', meshes, factor), meshes, math('MULTIPLY', given["Mesh Alpha"], factor))
     front = _over(b, held, splats)
     back = _over(b, splats, meshes)

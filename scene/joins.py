@@ -12,7 +12,7 @@ from ..fastgs_blender.rendering.passes import PASSES
 from . import composite_nodes, holdout, mesh_scene, shadows
 
 MESHES, JOIN, SHADE, RELIGHT = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade", "FAST-GS Relight"
-VERSION = 3
+VERSION = 4
 """Value of a group's mark; groups with another one were made by an older version of the extension, and are made anew."""
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""
@@ -204,9 +204,11 @@ def _join(tree, splats, scene, other, layer: str):
         "Splat Holdout": splats.outputs.get("Splat Holdout"), "Meshes": _shaded(tree, join, splats, meshes, shadows.lamps(scene)),
         "Mesh Alpha": meshes.outputs["Alpha"], "Mesh Depth": meshes.outputs["Depth"], "Shadow Catcher": catcher,
         "World": environment})
-    transparent = float(scene.render.film_transparent)
-    if join.inputs["Transparent"].default_value != transparent:
-        join.inputs["Transparent"].default_value = transparent
+    shown = scene.view_layers[layer]
+    held_out = any(holdout.is_held_out(obj, shown) for obj in shown.objects)
+    for name, value in (("Transparent", float(scene.render.film_transparent)), ("Held Out", float(held_out))):
+        if join.inputs[name].default_value != value:
+            join.inputs[name].default_value = value
 
 
 def _shaded(tree, join, splats, meshes, lamps):

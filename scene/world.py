@@ -40,7 +40,8 @@ def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.Wo
 
 def emission(data) -> tuple[float, float, float]:
     """The factor [3] that the nodes of a light make of its colour: plain colours and strengths count."""
-    output = data.node_tree.get_output_node('ALL') if data.use_nodes and data.node_tree else None
+    used = data.node_tree and (bpy.app.version >= (5, 2, 0) or data.use_nodes)  # later lights always use their nodes
+    output = data.node_tree.get_output_node('ALL') if used else None
     link = _source(output.inputs["Surface"]) if output else None
     if link is None or link.from_node.bl_idname != 'ShaderNodeEmission':
         return (1.0, 1.0, 1.0)

@@ -243,7 +243,8 @@ def test_settings_of_lamps_count_as_in_cycles(scene, shot, lamp):
         sun.data.cycles.cast_shadow = False
     if hasattr(spot.data, "normalize"):
         spot.data.normalize = False
-    point.data.use_nodes = True
+    if bpy.app.version < (5, 2, 0):
+        point.data.use_nodes = True
     shader = next(node for node in point.data.node_tree.nodes if node.bl_idname == 'ShaderNodeEmission')
     shader.inputs["Color"].default_value, shader.inputs["Strength"].default_value = (0.2, 0.6, 1, 1), 1.5
     _, _, lit, cycles = shot()
