@@ -7,8 +7,8 @@ included, a file is written for each frame.  OUT then says where the number goes
 If its name ends in .html, OUT is a web page that plays the model offline.  It holds a compressed file, and takes one as it is.
 IN may be a sequence: a folder or a zip of numbered files, or a pattern of their names (take_####.ply).  Without --at one model is fitted
 to its frames, which must hold the same Gaussians in the same order; what is lost says how well.
-With --chapters a .safetensors file is read part by part while it plays, so that a clip of any length needs little memory.  --then adds
-more models, which play after IN.
+With --chapters a .safetensors file or a web page is read part by part while it plays, so that a clip of any length needs little memory.
+--then adds more models, which play after IN.
 """
 from __future__ import annotations
 
@@ -46,8 +46,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
                         help="write .safetensors, or what a page holds, compressed: fine (the default; pictures lose at most 0.1 dB of "
                              "held-out views), small (0.3 dB; takes minutes), or another number of dB")
     parser.add_argument("--chapters", metavar="FRAMES", nargs="?", type=int, const=60,
-                        help="write a .safetensors file of which only some chapters of so many frames (default 60) are in memory; what is "
-                             "in chapters already stays so")
+                        help="write a .safetensors file, or a page, of which only some chapters of so many frames (default 60) are in "
+                             "memory; what is in chapters already stays so")
     parser.add_argument("--then", metavar="NEXT", nargs="+", default=[], help="models that play after IN, in chapters of one file")
     parser.add_argument("--prune", metavar="SHARE", nargs="?", type=float, const=0.0,
                         help="leave out Gaussians that are never seen, and this share of those that show least (default 0)")
@@ -72,7 +72,9 @@ def run(args: argparse.Namespace) -> None:
     losses: list[str] = []
     with _collected(losses):
         source = formats.open_source(args.input)
-        model = source if frames is not None else _joined(source, args) if args.then or args.chapters is not None else _one_model(source)
+        long = args.then or args.chapters is not None
+        kept = frames is not None or (isinstance(source, Chapters) and web_page.is_page(targets[0]) and web_page.unchanged(args))
+        model = _joined(source, args) if long else source if kept else _one_model(source)
     if frames is not None:
         note_frames_outside(source, frames)
     lines: list[str] = []
@@ -92,11 +94,11 @@ def run(args: argparse.Namespace) -> None:
                         with _collected(losses):
                             result = _sampled(result, args.input, target)
                     refuse_existing(formats.written_files(result, target), args)  # a decoder may come to lie beside it
-                elif args.prune is not None or args.antialias or page:
-                    raise FastGSError(f"{args.input} is a clip whose chapters no page and no model holds together; convert the models that "
-                                      "it was made of.")
+                elif args.prune is not None or args.antialias:
+                    raise FastGSError(f"{args.input} is a clip whose chapters no model holds together; convert the models that it was "
+                                      "made of.")
                 with _collected(losses, str(target), args.output):
-                    if page and isinstance(result, GaussianModel):
+                    if page:
                         web_page.write(result, target, args, partial(_move, bar, done))
                     else:
                         formats.save(result, target, args.compress, partial(_move, bar, done))
@@ -129,8 +131,8 @@ def _joined(source: Source, args: argparse.Namespace) -> Chapters:
     from ..model.chapters import Chapters
     from ..model.cutting import FRAMES, chapters
 
-    if args.prune is not None or args.antialias or not args.output.lower().endswith(formats.Native.extensions):
-        raise FastGSError("--chapters and --then write a .safetensors file, without --prune and --antialias; do these first.")
+    if args.prune is not None or args.antialias or not args.output.lower().endswith((*formats.Native.extensions, ".html")):
+        raise FastGSError("--chapters and --then write a .safetensors file or a page, without --prune and --antialias; do these first.")
     given = [source, *(formats.open_source(path) for path in args.then)]
     models = [each if isinstance(each, Chapters) else _one_model(each) for each in given]
     return chapters(*models, frames=FRAMES if args.chapters is None else args.chapters)  # type: ignore[arg-type]

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+import tempfile
 import warnings
 from collections.abc import Callable
 from pathlib import Path
@@ -12,6 +13,7 @@ from ..util.errors import FastGSError, LossWarning
 from .shared import OWN, colour
 
 if TYPE_CHECKING:
+    from ..model.chapters import Chapters
     from ..model.gaussians import GaussianModel
 
 OPTIONS = ("title", "sound", "background", "camera", "view", "path", "once", "limit")
@@ -47,11 +49,12 @@ def check_options(target: Path, args: argparse.Namespace) -> None:
         raise FastGSError(f"--limit takes a number of MB above 0, not {args.limit:g}.")
 
 
-def write(model: GaussianModel, target: Path, args: argparse.Namespace, progress: Callable[[float], None]) -> None:
+def write(model: GaussianModel | Chapters, target: Path, args: argparse.Namespace, progress: Callable[[float], None]) -> None:
     """Write the page of a model as the options say; LossWarnings say what it loses."""
     import numpy as np
 
     from ..formats import web
+    from ..model.chapters import Chapters
     from ..rendering.colour import srgb_to_linear
 
     options: dict[str, Any] = {"title": args.title or Path(args.input).stem, "loop": not args.once}
@@ -64,6 +67,9 @@ def write(model: GaussianModel, target: Path, args: argparse.Namespace, progress
     if args.camera is not None:
         options |= _cameras(model, args)
     loss = web.FINE if args.compress is None else web.Loss.of(args.compress)
+    if isinstance(model, Chapters):
+        _write_clip(model, target, args, loss, options, progress)
+        return
     kept = web.kept_file(Path(args.input)) if args.compress is None and unchanged(args) else None
     lost = [] if kept else web.WebPage(loss).losses(model)
     if lost:
@@ -71,12 +77,28 @@ def write(model: GaussianModel, target: Path, args: argparse.Namespace, progress
     web.save_page(web.page_of(model, **options), target, loss, args.limit, progress, {model: kept} if kept else None)
 
 
+def _write_clip(source: Chapters, target: Path, args: argparse.Namespace, loss: Any, options: dict[str, Any],
+                progress: Callable[[float], None]) -> None:
+    """write() of a long clip."""
+    from ..formats import native, web
+
+    with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
+        path, lost = Path(args.input), []
+        if args.compress is not None or args.then or args.chapters is not None or web.kept_file(path) is None:
+            path = Path(folder) / "clip.safetensors"
+            lost = native.Native(loss, progress).write_chapters(source, path)
+        page, packed = web.clip_page(path, **options)
+        if lost:
+            warnings.warn(LossWarning(f"{target} cannot hold everything as a web page: {'; '.join(lost)}."), stacklevel=3)
+        web.save_page(page, target, loss, args.limit, progress, packed)
+
+
 def unchanged(args: argparse.Namespace) -> bool:
     """Whether the model is written as its file has it."""
     return args.at is None and args.prune is None and not args.antialias
 
 
-def _cameras(model: GaussianModel, args: argparse.Namespace) -> dict[str, Any]:
+def _cameras(model: GaussianModel | Chapters, args: argparse.Namespace) -> dict[str, Any]:
     """The page's cameras and its pivot, as --camera, --view and --path say."""
     import numpy as np
 

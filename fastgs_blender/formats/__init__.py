@@ -153,7 +153,7 @@ def save(model: GaussianModel | Chapters, path: str | os.PathLike, compress: flo
     compress  write the compressed variant of .safetensors: "fine" (held-out views lose at most 0.1 dB), "small" (0.3 dB), or another
               number of dB; rate.py says how that is measured.  A page holds such a file: without `compress`, a fine one
     progress  called with 0..1 while a file is compressed; what it raises cancels that, and nothing is written
-    A clip in chapters becomes a .safetensors file, one piece after another.  One LossWarning says what the format cannot hold.
+    A clip in chapters becomes a .safetensors file, one piece after another, or a page.  One LossWarning says what the format cannot hold.
     What was at `path` is replaced only once all is written.
     Raises FastGSError.
 
@@ -172,7 +172,7 @@ def save(model: GaussianModel | Chapters, path: str | os.PathLike, compress: flo
             raise FastGSError("only .safetensors files and pages have a compressed variant; choose such a name, or a packed format such as "
                               ".spz.")
         with np.errstate(all="ignore"):  # a model may hold NaN; that is the reader's to say
-            if isinstance(writer, Native) and isinstance(model, Chapters):
+            if isinstance(model, Chapters) and isinstance(writer, (Native, WebPage)):
                 with replacing([path]) as (target,):
                     lost = writer.write_chapters(model, target)
             elif isinstance(model, GaussianModel):
@@ -193,10 +193,12 @@ def _written(writer: Format, model: GaussianModel, path: Path) -> list[str]:
     return lost + writer.lost_cameras(model) + writer.lost_parts(model)
 
 
-def _writer_of_chapters(path: Path) -> Native:
-    if path.suffix.lower() not in Native.extensions:
-        raise FastGSError("only .safetensors files hold a clip in chapters; choose such a name, or convert a frame of it (--at).")
-    return Native()
+def _writer_of_chapters(path: Path) -> Native | WebPage:
+    found = next((known for known in (Native(), WebPage()) if path.suffix.lower() in known.extensions), None)
+    if found is None:
+        raise FastGSError("only .safetensors files and pages (.html) hold a clip in chapters; choose such a name, or convert a frame of it "
+                          "(--at).")
+    return found
 
 
 def written_files(model: GaussianModel, path: str | os.PathLike) -> list[Path]:

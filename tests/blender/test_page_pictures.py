@@ -13,6 +13,7 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of
+from fastgs_blender.formats.web.long import clip_page
 from fastgs_blender.formats.web.page import Page, PageObject, page_text
 from fastgs_blender.rendering.volumes import mesh_volume
 
@@ -67,6 +68,39 @@ def test_films_and_scans_of_others(played, tmp_path, file):
     cameras = [fg.Camera(320, 180, 260, 260, 160, 90, each.world_to_camera @ np.block([[np.eye(3), -centre[:, None]], [np.zeros(3), 1]]))
                for each in around(model)]
     assert looked_at(played, [PageObject(model)], [data], cameras) >= LEAST
+
+
+def comings(frames: int, runs: int, still: int, each: int) -> fg.GaussianModel:
+    """A wall that stays, and balls before it, one after another, each for its run of frames."""
+    rng = np.random.default_rng(0)
+    k = np.arange(runs).repeat(each)
+    wall = np.stack([*rng.uniform(-1.5, 1.5, (2, still)), np.full(still, 0.5)], 1)
+    balls = np.stack([np.cos(2 * k), np.sin(2 * k), 0 * k], 1) + rng.normal(0, 0.15, (len(k), 3))
+    count, mu = still + len(k), np.concatenate([np.full(still, 0.5), (k + 0.5) / runs])
+    temporal = np.concatenate([np.tile([-9.0, 10, -3, -3], (still, 1)),
+                               np.stack([k / runs, (k + 1) / runs, *np.full((2, len(k)), np.log(1 / frames))], 1)])
+    return fg.GaussianModel(
+        position=np.concatenate([wall, balls]), rotation=np.tile([1.0, 0, 0, 0], (count, 1)), scale=np.full((count, 3), -2.6),
+        opacity=np.full(count, 2.0), features=rng.uniform(0, 1, (count, 3)), mu_tau=mu, temporal=temporal, temporal_kind=fg.Window(),
+        clip=fg.Clip(frames, 30.0))
+
+
+@IN_BOTH
+def test_a_long_clip_is_read_chapter_by_chapter(played, tmp_path):
+    """Across seams, at sub-frames and after jumps it shows what its chapters show, and it holds those around the moment alone."""
+    path = tmp_path / "clip.safetensors"
+    fg.save(fg.chapters(comings(240, 24, 400, 50), frames=10), path)
+    page, packed = clip_page(path, background=BACKGROUND)
+    source, camera = fg.open_source(path), around(None)[0]
+    tab = played(page, [packed[each.model] for each in page.objects])
+    assert tab.evaluate("document.body.dataset.state") == "ready", tab.messages
+    held = []
+    for frame in (0, 19, 19.5, 20, 20.25, 40, 139, 140, 239, 3, 100, 99.5):
+        model, t = source.moment(frame / 240)
+        want = expected(replace(page, objects=[PageObject(model)], frames=1), camera, t)
+        assert decibels(shown(tab, camera, frame), want) >= LEAST, frame
+        held.append(tab.evaluate("fastgs.scene.models.filter((model) => model).length"))
+    assert max(held) < 0.75 * len(page.objects), held
 
 
 def test_a_bake(played, tmp_path):

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from ...cameras.opening import opening, up_of
+from ...model.chapters import Chapters
 from ...model.gaussians import GaussianModel
 from ...util.errors import FastGSError, LossWarning
 from ...util.outputs import replacing
@@ -22,6 +23,7 @@ from ..base import Format
 from ..native import KEY, Native
 from ..rate import LEVELS, Loss
 from .library import cannot_play
+from .long import clip_page
 from .page import Page, PageObject, Sound, page_text
 from .poster import poster
 
@@ -57,6 +59,15 @@ class WebPage(Format):
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         text = finished(page_of(model), self.loss, self.progress)
         targets[-1].write_text(text, "utf-8", newline="\n")
+
+    def write_chapters(self, source: Chapters, target: Path) -> list[str]:
+        """Write the page of a long clip; returns what is lost, one clause each."""
+        with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
+            path = Path(folder) / "clip.safetensors"
+            lost = Native(self.loss, self.progress).write_chapters(source, path)
+            page, packed = clip_page(path)
+            target.write_text(finished(page, self.loss, None, packed), "utf-8", newline="\n")
+        return lost
 
 
 def page_of(model: GaussianModel, **options: Any) -> Page:

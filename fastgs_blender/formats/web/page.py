@@ -25,6 +25,8 @@ player interpolates them.  After the last frame the last one stays.
                 "crops": one list, or one for each frame, of {"matrix", "remove", "shape": "BOX", "SPHERE" or "VOLUME", "soft", "volume"};
                 "backdrop", "bends": as in ObjectSettings;
                 "sampling": null, or how the capture's cameras sampled the model, the fields of distance.Sampling but pixel
+                of a piece of a long clip also "shown": [t from, t until], "clip": [begin, length in t] of its model's own time, and
+                "count": of its Gaussians; its file is read when it is shown, or comes next
     volumes     of each, used by crops: {"side": R, "depth": base64 of float32 [R, R, R]}
     parts       of each model and the sound, by its script's id: {"bytes", "crc": their CRC-32}
     workers     the CRC-32 of the text of each worker, by its script's id
@@ -65,6 +67,16 @@ POLICY = ("default-src 'none'; script-src 'sha256-{script}'; style-src 'sha256-{
 """What the page may load: its own script and style, and what lies in it.  A rule for pages that end in their head comes before it."""
 
 
+@dataclass(frozen=True)
+class PagePiece:
+    """What makes an object a piece of a long clip: how many Gaussians it has, (from, until) when it is shown, and (begin, length) of its
+    model's time, in the clip's t."""
+
+    count: int
+    shown: tuple[float, float]
+    time: tuple[float, float]
+
+
 @dataclass(frozen=True, eq=False)
 class PageObject:
     """A model in a page's scene.  Lists have one member, or one for each frame of the page.
@@ -72,12 +84,14 @@ class PageObject:
     places    [4, 4] from the model's space to the world
     times     the model's t for each frame of the page; (): t = frame / frames
     settings  how it is shown.  Filters, mask and density are those of the first: the file leaves the others' Gaussians out
+    piece     of a long clip, whose model stands for its file and has no Gaussians; None: a whole model
     """
 
     model: GaussianModel
     places: Sequence[np.ndarray] = (np.eye(4),)
     times: Sequence[float] = ()
     settings: Sequence[ObjectSettings] = (ObjectSettings(),)
+    piece: PagePiece | None = None
 
     def at(self, frame: int, frames: int) -> Instance:
         """What fg.render() draws of it on a frame of the page."""
@@ -154,8 +168,8 @@ class Page:
 
     def _object(self, shown: PageObject, number: int, volumes: dict[str, Volume]) -> dict[str, Any]:
         first = shown.settings[0]
-        sampling = Instance(shown.model, np.eye(4), 0.0, first).captured
-        return {
+        sampling, piece = Instance(shown.model, np.eye(4), 0.0, first).captured, shown.piece
+        return ({} if piece is None else {"shown": list(piece.shown), "clip": list(piece.time), "count": piece.count}) | {
             "model": number, "places": [_numbers(place) for place in shown.places], "times": _numbers(shown.times),
             "looks": _changing([_numbers(look_numbers(each, shown.model.colour_space)) for each in shown.settings]),
             "crops": _changing([[_crop(crop, volumes) for crop in each.crops] for each in shown.settings]),

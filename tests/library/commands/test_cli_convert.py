@@ -2,8 +2,10 @@
 """fastgs convert: what it says of frames, of what a file holds, and of antialiasing."""
 from __future__ import annotations
 
+import base64
 import json
 import os
+import re
 import signal
 import subprocess
 import sys
@@ -121,7 +123,24 @@ def test_long_clips_in_chapters(run, rng, make_model, tmp_path):
     assert run("convert", long, tmp_path / "again.safetensors")[0] == 0
     assert isinstance(fg.open_source(tmp_path / "again.safetensors"), fg.GaussianModel)
     assert run("convert", both, tmp_path / "f_####.ply", "--at", "0:79:60")[0] == 0 and (tmp_path / "f_0060.ply").is_file()
-    code, _, said = run("convert", both, tmp_path / "page.html")
-    assert code == 2 and "chapters" in said
     code, _, said = run("convert", one, tmp_path / "m.ply", "--chapters")
     assert code == 2 and ".safetensors" in said
+
+
+@pytest.mark.slow
+def test_a_page_of_a_long_clip_has_a_file_for_each_piece(run, rng, make_model, tmp_path):
+    """Of models with a motion of their own one after another; a compressed file gives the page its own numbers."""
+    names = [tmp_path / f"{name}.safetensors" for name in ("one", "two", "both")]
+    for name, basis in zip(names, ("line", "cosine")):
+        fg.save(make_model(rng, 30, basis=basis, clip=fg.Clip(20, 25.0)), name)
+    assert run("convert", names[0], names[2], "--then", names[1], "--compress", "fine")[0] == 0
+    assert run("convert", names[2], tmp_path / "page.html", "--title", "Both", "--once")[0] == 0
+    text, source = (tmp_path / "page.html").read_text("utf-8"), fg.open_source(names[2])
+    about = json.loads(re.search(r'id="scene"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
+    assert about["title"] == "Both" and about["frames"] == 40 and not about["loop"]
+    assert [each["count"] for each in about["objects"]] == [piece.size for piece in source.pieces]
+    assert about["objects"][0]["shown"][1] == about["objects"][-1]["shown"][0] == pytest.approx(0.5)
+    assert about["objects"][-1]["clip"] == pytest.approx([0.5, 0.5])
+    data = base64.b64decode(re.search(r'id="model-1"[^>]*>(.*?)</script>', text, re.DOTALL)[1])
+    (tmp_path / "piece.safetensors").write_bytes(data)
+    np.testing.assert_array_equal(fg.load(tmp_path / "piece.safetensors").position, source.pieces[1].read().position)

@@ -23,21 +23,22 @@ export async function described() {
   }
 }
 
-/** Waits for the models; progress(0..1) is called meanwhile. */
-export async function arrived({ parts }, progress) {
-  const all = Object.values(parts).reduce((sum, { bytes }) => sum + bytes, 0);
+/** Waits for parts of the file; progress(0..1) is called meanwhile. */
+export async function arrived({ parts }, names, progress = () => {}) {
+  const all = names.reduce((sum, name) => sum + parts[name].bytes, 0);
   await awaited(() => {
-    const there = Object.keys(parts).reduce((sum, name) => sum + 0.75 * (document.getElementById(name) || { textContent: "" }).textContent.length, 0);
-    progress(Math.min(there / (all || 1), 1));
+    const found = names.map((name) => document.getElementById(name));
+    progress(Math.min(found.reduce((sum, element) => sum + 0.75 * (element ? element.textContent.length : 0), 0) / (all || 1), 1));
+    return found.every((element) => element && element.nextElementSibling); // what follows it says that it is whole
   });
 }
 
-/** The bytes of a part of the file, "model-0" or "sound", as the description counts and sums them up. */
-export function bytesOf({ parts }, name) {
+/** The bytes of a part of the file, "model-0" or "sound", as the description counts and sums them up; again: they will be asked for once more. */
+export function bytesOf({ parts }, name, again = false) {
   const element = document.getElementById(name), { bytes, crc } = parts[name];
   if (!element) throw damaged(CUT);
   const data = decoded(element.textContent.trim());
-  element.remove();
+  if (!again) element.remove();
   if (!data || data.length !== bytes) throw damaged(CUT);
   if (checksum(data) !== crc) throw damaged(`${name} is not as it was exported`);
   return data;

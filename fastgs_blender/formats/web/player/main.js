@@ -168,9 +168,16 @@ async function begin() {
   canvas.addEventListener("webglcontextlost", graphicsLost);
   canvas.addEventListener("webglcontextrestored", graphicsBack);
   contextOf(canvas); // before anything is decoded: it may say that there is none
-  await arrived(description, (share) => loaded(0.3 * share));
-  const scene = (fastgs.scene = await openScene(description, (i) => bytesOf(description, `model-${i}`), (share) => loaded(0.3 + 0.6 * share)));
+  const long = description.objects.some(({ shown }) => shown), frame = address.time === null ? 0 : address.time * description.fps;
+  const payload = async (numbers) => {
+    const names = numbers.map((number) => `model-${number}`), first = !fastgs.scene;
+    await arrived(description, first && !long ? Object.keys(description.parts) : names, (share) => first && loaded(0.3 * share));
+    return names.map((name) => bytesOf(description, name, long));
+  };
+  const scene = await openScene(description, payload, frame, (share) => loaded(0.3 + 0.6 * share));
+  fastgs.scene = scene;
   orbit.bound(scene.bounds);
+  if (description.sound) await arrived(description, ["sound"]);
   const sound = description.sound && soundOf(description);
   const clock = (fastgs.clock = new Clock(description, () => performance.now() / 1000, sound));
   const renderer = new Renderer(canvas, scene, () => {

@@ -66,11 +66,10 @@ export class Sorter {
       [this.keys, this.places, this.found, this.spare] = [Float32Array, Uint32Array, Uint32Array, Uint32Array].map((kind) => new kind(total));
       this.taken = new Float32Array(total);
     }
-    let count = 0, offset = 0;
+    let count = 0;
     for (const instance of instances) {
       const crops = instance.crops.map((crop) => ({ ...crop, volume: volumes[crop.volume] }));
-      count = this.visible({ ...instance, crops }, models[instance.model], camera, offset, count);
-      offset += models[instance.model].count;
+      count = this.visible({ ...instance, crops }, models[instance.model], camera, instance.first, count);
     }
     const order = this.sorted(count), channels = instances.some(({ crops }) => crops.some(({ soft }) => soft > 0)) ? 2 : 1;
     const size = Math.max(Math.ceil(count / rowWidth), 1) * rowWidth * channels;

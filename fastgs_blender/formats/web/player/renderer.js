@@ -11,6 +11,19 @@ const { WIDTH, ORDER_WIDTH } = LIBRARY.textures;
 const PIECE = 64; // rows of texels that are sent at a time
 const AROUND = 1 / 8; // of a picture's longer side: orders reach so far beyond its edges, for the view moves on before the next one comes
 
+/** The first row of a free run of rows of an atlas for each of `wanted`; null where not all of them fit. */
+function room({ places, rows }, kind, wanted) {
+  const taken = Object.values(places).map((place) => [place[kind] / place.width, place.rows[kind]]).sort(([a], [b]) => a - b), found = [];
+  for (const length of wanted) {
+    let at = 0, k = 0;
+    while (k < taken.length && taken[k][0] - at < length) [at, k] = [taken[k][0] + taken[k][1], k + 1];
+    if (at + length > rows[kind]) return null;
+    found.push(at);
+    taken.splice(k, 0, [at, length]);
+  }
+  return found;
+}
+
 export class Renderer {
   /** Throws PageError where the browser cannot draw it.  onfresh is called when a picture has become better than the last draw(). */
   constructor(canvas, scene, onfresh = () => {}) {
@@ -22,8 +35,8 @@ export class Renderer {
   build() {
     this.graphics = new Graphics(this.canvas);
     Object.assign(this, { last: null, targets: [], shape: "", order: null, arrived: "", list: null, work: null, failure: null,
-                          atlas: null, table: null, resolved: null, linear: null, sum: null, nothing: null });
-    this.loading = this.load();
+                          atlas: null, shown: new Set(), reading: null, table: null, resolved: null, linear: null, sum: null, nothing: null });
+    this.loading = this.load([...this.scene.models.keys()].filter((number) => this.scene.models[number]));
     this.loading.catch((error) => (this.failure = error));
   }
 
@@ -40,29 +53,62 @@ export class Renderer {
     if (lose) lose.loseContext();
   }
 
-  async load() {
-    const { graphics, scene } = this, width = Math.min(WIDTH, graphics.largest);
-    const models = await scene.calls.call("texels", { width, rows: PIECE }), rows = { geometry: 0, colour: 0 }, places = [];
-    for (const { layout, geometry, colour } of models) {
-      places.push({ layout, geometry: rows.geometry * width, colour: rows.colour * width });
-      rows.geometry += geometry;
-      rows.colour += colour;
-    }
-    if (Math.max(rows.geometry, rows.colour, 1) > graphics.largest) {
-      throw new PageError("This device's graphics have no room for so many Gaussians. Open the page on another one, or export it smaller.");
-    }
-    if (!graphics.float && (models.length > 1 || scene.models.some(({ kinds }) => kinds.decoder || kinds.space === "linear"))) {
+  /** Sends models, by their numbers, to the GPU: into free rows of the textures, or with all that are there into new ones. */
+  async load(numbers) {
+    const { graphics, scene } = this, width = Math.min(WIDTH, graphics.largest), kinds = ["geometry", "colour"];
+    const models = await scene.calls.call("texels", { numbers, width, rows: PIECE });
+    const before = this.atlas, fits = before && kinds.every((kind) => room(before, kind, models.map((model) => model[kind])));
+    const all = [...scene.models.keys()].filter((number) => scene.models[number]);
+    if (before && !fits && numbers.length < all.length) return this.load(all);
+    if (!graphics.float && (numbers.length > 1 || numbers.some((number) => scene.models[number].kinds.decoder || scene.models[number].kinds.space === "linear"))) {
       throw new PageError("This device's graphics cannot add up the colours of this page (EXT_color_buffer_float). Open it on another one.");
     }
-    const textures = { geometry: graphics.texture("RGBA32F", width, Math.max(rows.geometry, 1)),
-                       colour: graphics.texture("RGBA16F", width, Math.max(rows.colour, 1)) };
+    const atlas = fits ? before : this.made(width, kinds.map((kind) => models.reduce((sum, model) => sum + model[kind], 0))), places = {};
+    const first = kinds.map((kind) => room(atlas, kind, models.map((model) => model[kind])));
+    models.forEach(({ layout, geometry, colour }, k) => {
+      const number = numbers[k], begins = first.map((rows) => rows[k]);
+      places[number] = { layout, width, geometry: begins[0] * width, colour: begins[1] * width, rows: { geometry, colour } };
+    });
     for (let piece; (piece = await scene.calls.call("piece"));) {
       const { model, kind, row, texels } = piece;
       if (graphics !== this.graphics) return; // the context was lost meanwhile
-      graphics.send(textures[kind], places[model][kind] / width + row, texels.length / (4 * width), 4, texels);
+      graphics.send(atlas.textures[kind], places[model][kind] / width + row, texels.length / (4 * width), 4, texels);
     }
-    this.atlas = { width, places, textures, depth: graphics.table(null, { data: new Float32Array(4).fill(1), width: 1, height: 1 }) };
+    Object.assign(atlas.places, places);
+    if (before && !fits) for (const texture of Object.values(before.textures)) graphics.gl.deleteTexture(texture);
+    this.atlas = atlas;
     if (this.last) this.ask();
+  }
+
+  /** An atlas without models, with so many rows of geometry and colour; with as many again where others will come. */
+  made(width, needed) {
+    const { graphics, scene } = this, spare = scene.objects.some(({ shown }) => shown) ? 2.5 : 1;
+    if (Math.max(...needed) > graphics.largest) {
+      throw new PageError("This device's graphics have no room for so many Gaussians. Open the page on another one, or export it smaller.");
+    }
+    const [geometry, colour] = needed.map((rows) => Math.min(Math.max(Math.ceil(spare * rows), 1), graphics.largest));
+    return { width, places: {}, rows: { geometry, colour },
+             textures: { geometry: graphics.texture("RGBA32F", width, geometry), colour: graphics.texture("RGBA16F", width, colour) },
+             depth: graphics.table(null, { data: new Float32Array(4).fill(1), width: 1, height: 1 }) };
+  }
+
+  /** Reads the models that the frame of the last draw() shows, and then those that come next; of others, the chapter before stays. */
+  follow() {
+    const { scene, last } = this;
+    if (this.reading || !last || !this.atlas) return;
+    const [now, next] = scene.wanted(last.frame), missing = [now, next].map((list) => list.filter((number) => !scene.models[number])).find((list) => list.length);
+    if (`${now}` !== `${scene.now || ""}`) [scene.before, scene.now] = [scene.now || [], now];
+    if (!missing) return;
+    const keep = new Set([...now, ...next, ...scene.before, ...this.shown]), gone = Object.keys(this.atlas.places).map(Number).filter((number) => !keep.has(number));
+    this.reading = (async () => {
+      for (const number of gone) delete this.atlas.places[number];
+      if (gone.length) await scene.drop(gone);
+      await scene.read(missing);
+      await this.load(missing);
+      this.reading = null;
+      this.onfresh();
+    })();
+    this.reading.catch((error) => (this.failure = error));
   }
 
   /**
@@ -73,17 +119,23 @@ export class Renderer {
   draw(camera, frame) {
     if (this.failure) throw this.failure;
     const toCamera = inverse(camera.pose);
-    const views = this.scene.at(frame).map((instance) => viewed(instance, this.scene.models[instance.model].kinds, camera, toCamera));
-    this.last = { camera: { ...camera, orthographic: Boolean(camera.orthographic) }, frame, views, key: JSON.stringify([camera, [...camera.pose], frame]) };
+    const drawn = this.scene.at(frame).filter(({ model }) => !this.atlas || this.atlas.places[model]);
+    const views = drawn.map((instance) => viewed(instance, this.scene.models[instance.model].kinds, camera, toCamera));
+    this.last = { camera: { ...camera, orthographic: Boolean(camera.orthographic) }, frame, views, key: JSON.stringify([camera, [...camera.pose], frame, drawn.map(({ model }) => model)]) };
     this.paint();
+    this.follow();
     this.ask();
   }
 
   /** Resolves once the picture of the last draw() has its own order. */
   async settled() {
     await this.loading;
-    while (this.last && this.arrived !== this.last.key) {
+    while (this.last && (this.reading || this.arrived !== this.last.key)) {
       if (this.failure) throw this.failure;
+      if (this.reading) {
+        await this.reading;
+        this.draw(this.last.camera, this.last.frame);
+      }
       this.ask();
       await this.work;
     }
@@ -94,10 +146,10 @@ export class Renderer {
   ask() {
     const { last, graphics } = this;
     if (!this.atlas || !last || this.work || this.arrived === last.key) return;
-    const { camera, views, key } = last, list = this.list;
+    const { camera, key } = last, list = this.list, views = last.views.filter(({ there }) => there);
     this.list = null;
-    const instances = views.map(({ model, t, look, rows, near, far, ball, crops, sampling, stretch }) =>
-      ({ model, t, look, rows, near, far, ball, crops, stretch, sampling: { ...sampling, cameras: [] } }));
+    const instances = views.map(({ model, first, t, look, rows, near, far, ball, crops, sampling, stretch }) =>
+      ({ model, first, t, look, rows, near, far, ball, crops, stretch, sampling: { ...sampling, cameras: [] } }));
     const around = AROUND * Math.max(camera.width, camera.height);
     const given = { instances, camera: { ...camera, pose: null, spread: spreads(camera), around }, width: ORDER_WIDTH, list,
                     volumes: views.some(({ crops }) => crops.some(({ shape }) => shape === "VOLUME")) ? this.scene.volumes : [] };
@@ -105,6 +157,7 @@ export class Renderer {
       if (graphics !== this.graphics) return;
       this.work = null;
       this.list = order.list;
+      this.shown = new Set(views.map(({ model }) => model));
       this.take(order);
       this.arrived = key;
       this.ask();
@@ -113,20 +166,20 @@ export class Renderer {
     this.work.catch((error) => (this.failure = error));
   }
 
-  /** Sends an order to the GPU; the texture has room for all Gaussians. */
+  /** Sends an order to the GPU. */
   take({ count, list, channels }) {
     const { graphics } = this, rows = Math.max(Math.ceil(count / ORDER_WIDTH), 1);
-    if (!this.order || this.order.channels !== channels) {
+    if (!this.order || this.order.channels !== channels || this.order.room < rows) {
       if (this.order) graphics.gl.deleteTexture(this.order.texture);
-      const room = Math.max(Math.ceil(this.scene.count / ORDER_WIDTH), 1);
-      this.order = { channels, texture: graphics.texture(channels === 2 ? "RG32F" : "R32F", ORDER_WIDTH, room) };
+      const room = Math.ceil(1.25 * rows);
+      this.order = { channels, room, texture: graphics.texture(channels === 2 ? "RG32F" : "R32F", ORDER_WIDTH, room) };
     }
     this.order.count = count;
     graphics.send(this.order.texture, 0, rows, channels, list.subarray(0, rows * ORDER_WIDTH * channels));
   }
 
   paint() {
-    const { graphics, canvas, last: { camera, views } } = this;
+    const { graphics, canvas, last: { camera, views: all } } = this, views = all.filter(({ model, there }) => there || this.shown.has(model));
     if (graphics.gl.isContextLost()) return;
     if (canvas.width !== camera.width || canvas.height !== camera.height) Object.assign(canvas, { width: camera.width, height: camera.height });
     const { groups, member } = grouped(views), size = [camera.width, camera.height], background = this.scene.background;

@@ -9,13 +9,12 @@ import { isCount, isTable } from "./tensors.js";
 
 const FAR = 1e29; // numbers of looks beyond it stand for "no limit", and cannot be interpolated
 
-/** Reads the models in a worker; payload(i): the bytes of model i; progress is called with 0..1. */
-export async function openScene(description, payload, progress = () => {}) {
-  const scene = new Scene(description), files = [];
-  for (let i = 0; i < scene.modelCount; i++) files.push(payload(i));
+/** Reads the models that a frame shows in a worker; payload(numbers): the promise of their files' bytes; progress is called with 0..1. */
+export async function openScene(description, payload, frame = 0, progress = () => {}) {
+  const scene = new Scene(description);
+  scene.payload = payload;
   scene.calls = new Calls(workerText(description, "model_worker"));
-  scene.models = await scene.calls.call("open", { files }, [...new Set(files.map(({ buffer }) => buffer))], progress);
-  for (const { kinds } of scene.models) for (const name of ["motion", "turning", "changing"]) kinds[name] = basis(kinds[name].made);
+  await scene.read(scene.wanted(frame)[0], progress);
   return scene;
 }
 
@@ -29,10 +28,10 @@ export class Scene {
       && Array.isArray(volumes) && Array.isArray(objects) && objects.every((each) => isTable(each) && isCount(each.model, objects.length)
         && several(each.places, (place) => numbers(place, 16)) && several(each.looks, (look) => numbers(look, 20))
         && several(each.crops, Array.isArray) && Array.isArray(each.times) && (!each.times.length || several(each.times, Number.isFinite))
-        && (each.sampling === null || isTable(each.sampling)));
+        && (each.sampling === null || isTable(each.sampling))
+        && (!each.shown || (numbers(each.shown, 2) && numbers(each.clip, 2) && each.clip[1] > 0 && isCount(each.count, 2 ** 24))));
     if (!good) throw damaged("the description of its scene is of no version that it can play, or cut short");
-    Object.assign(this, { ...description, models: [], calls: null });
-    this.modelCount = objects.reduce((most, { model }) => Math.max(most, model + 1), 0);
+    Object.assign(this, { ...description, models: [], calls: null, before: [] });
     this.volumes = volumes.map(({ side, depth }) => {
       const bytes = Uint8Array.from(atob(depth), (letter) => letter.charCodeAt(0));
       if (!(isCount(side, 256) && bytes.length === 4 * side ** 3)) throw damaged("a shape that crops it is cut short");
@@ -40,13 +39,34 @@ export class Scene {
     });
   }
 
-  get count() {
-    return this.objects.reduce((sum, { model }) => sum + this.models[model].count, 0);
+  /** The numbers of the models that a frame shows, and of those that are shown once another piece begins, or ends. */
+  wanted(frame) {
+    const shows = (each, t) => !each.shown || (t >= each.shown[0] && t < each.shown[1]), numbersAt = (at) =>
+      [...new Set(this.objects.filter((each, k) => shows(each, at(each, k))).map(({ model }) => model))];
+    const times = this.objects.map((each) => time(each.times, frame, this.frames));
+    const seams = this.objects.flatMap(({ shown }, k) => (shown || []).filter((seam) => seam > times[k])), seam = Math.min(...seams);
+    return [numbersAt((each, k) => times[k]), seams.length ? numbersAt(() => (seam < 1 ? seam : 0)) : []];
+  }
+
+  /** Reads models. */
+  async read(numbers, progress = () => {}) {
+    const files = await this.payload(numbers);
+    const found = await this.calls.call("open", { numbers, files }, [...new Set(files.map(({ buffer }) => buffer))], progress);
+    found.forEach((model, k) => {
+      for (const name of ["motion", "turning", "changing"]) model.kinds[name] = basis(model.kinds[name].made);
+      this.models[numbers[k]] = model;
+    });
+  }
+
+  /** Forgets models. */
+  drop(numbers) {
+    for (const number of numbers) delete this.models[number];
+    return this.calls.call("drop", { numbers });
   }
 
   /** Low and high [3] of a box around nearly all of it, at the beginning. */
   get bounds() {
-    const corners = this.objects.flatMap(({ model, places: [place] }) => {
+    const corners = this.objects.filter(({ model }) => this.models[model]).flatMap(({ model, places: [place] }) => {
       const { low, high } = this.models[model].span;
       return Array.from({ length: 8 }, (_, k) => {
         const corner = [0, 1, 2].map((axis) => ((k >> axis) & 1 ? high : low)[axis]), m = multiplied(place, translation(corner));
@@ -57,21 +77,30 @@ export class Scene {
     return { low: of(Math.min), high: of(Math.max) };
   }
 
-  /** The instances at a frame, counted from 0: {model, count, place, t, look, crops, backdrop, sampling}. */
+  /**
+   * The instances at a frame, counted from 0, of the models that are there: {model, first, there, place, t, look, crops, backdrop, sampling}.
+   *
+   * first: the place of its first Gaussian among those of all objects, which models that are not there have, too; there: whether it is shown
+   */
   at(frame) {
+    let following = 0;
     const now = Math.min(Math.max(frame, 0), this.frames - 1), first = Math.floor(now), share = now - first;
-    return this.objects.map((each) => {
+    return this.objects.flatMap((each) => {
+      const model = this.models[each.model], begin = following, t = time(each.times, frame, this.frames);
+      following += model ? model.count : each.count;
+      if (!model) return [];
       const pick = (list, mixed) => {
         const [a, b] = [list[Math.min(first, list.length - 1)], list[Math.min(first + 1, list.length - 1)]];
         return share > 0 && a !== b ? mixed(a, b, share) : a;
       };
       const cameras = each.sampling && each.sampling.cameras;
-      return {
-        model: each.model, count: this.models[each.model].count, backdrop: each.backdrop, sampling: each.sampling && { ...each.sampling, cameras },
-        place: pick(each.places, between), t: time(each.times, frame, this.frames), look: pick(each.looks, mixedLooks),
+      const [from, length] = each.clip || [0, 1];
+      return [{
+        model: each.model, first: begin, there: !each.shown || (t >= each.shown[0] && t < each.shown[1]), backdrop: each.backdrop,
+        sampling: each.sampling && { ...each.sampling, cameras }, place: pick(each.places, between), t: (t - from) / length, look: pick(each.looks, mixedLooks),
         crops: pick(each.crops, mixedCrops).map(({ matrix, ...crop }) => ({ ...crop, rows: matrix ? matrix.slice(0, 12) : Array(12).fill(NaN) }))
           .sort((a, b) => a.remove - b.remove),
-      };
+      }];
     });
   }
 }

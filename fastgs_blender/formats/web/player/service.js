@@ -10,28 +10,33 @@ export class Service {
     this.sorter = new Sorter();
   }
 
-  /** Reads files; returns what is to be known of each model: its kinds, how many Gaussians it has, and where most of them are. */
-  open({ files }, progress) {
+  /** Reads the files of models, by their numbers; returns what is to be known of each: its kinds, how many Gaussians it has, and where most of them are. */
+  open({ numbers, files }, progress) {
     const total = files.reduce((sum, { length }) => sum + length, 0);
     let done = 0;
-    for (const file of files) {
-      const model = readModel(file, (share) => progress((done + share * file.length) / total));
-      this.models.push({ ...model, ...prepared(model) });
+    return files.map((file, k) => {
+      const model = readModel(file, (share) => progress((done + share * file.length) / total)), { count, kinds, arrays } = model;
+      this.models[numbers[k]] = { ...model, ...prepared(model) };
       done += file.length;
-    }
-    return this.models.map(({ count, kinds, arrays }) => ({ count, kinds: plain(kinds), span: span(arrays.position) }));
+      return { count, kinds: plain(kinds), span: span(arrays.position) };
+    });
   }
 
-  /** Begins to give texels, of textures that are `width` wide, and says how many rows each model takes. */
-  texels({ width, rows }) {
+  /** Forgets models. */
+  drop({ numbers }) {
+    for (const number of numbers) delete this.models[number];
+  }
+
+  /** Begins to give the texels of models, of textures that are `width` wide, and says how many rows each of them takes. */
+  texels({ numbers, width, rows }) {
     const kinds = ["geometry", "colour"];
     this.pieces = (function* (models) {
-      for (const [model, each] of models.entries()) {
-        for (const kind of kinds) for (const piece of rowsOf(each, kind, width, rows)) yield { model, kind, ...piece };
+      for (const model of numbers) {
+        for (const kind of kinds) for (const piece of rowsOf(models[model], kind, width, rows)) yield { model, kind, ...piece };
       }
     })(this.models);
-    return this.models.map((model) => ({
-      layout: layoutOf(model.kinds), ...Object.fromEntries(kinds.map((kind) => [kind, rowCount(model, kind, width)])),
+    return numbers.map((number) => ({
+      layout: layoutOf(this.models[number].kinds), ...Object.fromEntries(kinds.map((kind) => [kind, rowCount(this.models[number], kind, width)])),
     }));
   }
 

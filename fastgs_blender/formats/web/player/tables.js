@@ -43,9 +43,8 @@ export function frameTable(camera, views, places, count, member, width) {
       LIMITS: tangentLimits(camera), DEPTHS: [0, 0, 0, 0], COUNTS: [...split(count), 1, 1],
     }),
   })];
-  let first = 0;
   views.forEach((view, number) => {
-    const { kinds, t, rows: m, toModel, look, sampling } = view, { raster } = kinds, { geometry, colour, layout } = places[view.model];
+    const { kinds, t, first, rows: m, toModel, look, sampling } = view, { raster } = kinds, { geometry, colour, layout } = places[view.model];
     const [moving, moveFirst, moves] = runs(kinds.motion, t, 4), [turning, turnFirst, turns] = runs(kinds.turning, t, 1);
     const [changing, changeFirst, changes] = runs(kinds.changing, t, 1), eye = camera.orthographic ? 2 : 3;
     const head = Array.from({ length: HEAD }, () => [0, 0, 0, 0]), four = (list, k) => Array.from(list).slice(4 * k, 4 * k + 4);
@@ -61,7 +60,6 @@ export function frameTable(camera, views, places, count, member, width) {
     for (let k = 0; k < look.length / 4; k++) head[INSTANCE.LOOK + k] = four(look, k);
     rows.push([...head, ...moves, ...[...turns, ...changes].map(([w]) => [w, 0, 0, 0]),
                ...sampling.cameras.flatMap((captured) => [four(captured, 0), four(captured, 1)])]);
-    first += view.count;
   });
   const length = Math.max(...rows.map((row) => row.length)), data = new Float32Array(4 * length * rows.length);
   rows.forEach((row, y) => row.forEach((texel, x) => data.set(texel, 4 * (y * length + x))));
