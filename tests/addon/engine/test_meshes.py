@@ -225,9 +225,9 @@ def test_shadows_fall_where_the_light_sends_them(scene, fg, model_file, splat_ob
 
 
 def test_each_lamp_has_its_shadow(scene, fg, model_file, splat_object, add, add_camera, render, warned):
-    """A sun from the left, one from the right, and more than there are passes; a point lamp is none."""
+    """A sun from the left, one from the right, and more than there are passes; a point lamp is none.  Shadow linking tells them apart."""
     ball = fg.GaussianModel(position=[[0, 0, 2.0]], rotation=[[1, 0, 0, 0]], scale=np.log([[0.3] * 3]), opacity=[4.0], features=[[0, 0, 0]])
-    splat_object(model_file(ball))
+    splats = splat_object(model_file(ball))
     add_camera(location=(0, 0, 10), rotation=(0, 0, 0), lens=36.0)
     add("plane", size=40)
     bpy.context.view_layer.fastgs.use_pass_shadow = True
@@ -239,6 +239,11 @@ def test_each_lamp_has_its_shadow(scene, fg, model_file, splat_object, add, add_
     for name, x in (("Splat Shadow", 2), ("Splat Shadow 2", -2)):
         assert planes[f"ViewLayer.{name}"][24, int(32 + 6.4 * x), 0] < 0.5 < planes[f"ViewLayer.{name}"][24, int(32 - 6.4 * x), 0]
     assert "ViewLayer.Splat Shadow 3" not in planes and not any("lamps" in text for text in warned())
+    blockers = scene.objects["From Left"].light_linking.blocker_collection = bpy.data.collections.new("Blockers")
+    blockers.objects.link(splats)
+    blockers.collection_objects[0].light_linking.link_state = 'EXCLUDE'
+    planes = render()
+    assert planes["ViewLayer.Splat Shadow"].min() == 1 and planes["ViewLayer.Splat Shadow 2"].min() < 0.5
     for _ in range(7):
         more = scene.objects["From Right"].copy()
         scene.collection.objects.link(more)
