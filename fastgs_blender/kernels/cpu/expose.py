@@ -38,8 +38,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
     film = Film(height, width, {instance.model.colour_space for instance in instances}, len(objects))
     if not exposure.moves:
         instances = [instance.frozen() for instance in instances]
-    total = sum(len(instance.model) for instance in instances)
-    paths = measure(exposure, total, lambda *place: _snapshot(*exposure.scene(instances, camera, *place), total))
+    paths = measure(exposure, instances, camera, _snapshot)
     left, top = x0 // TILE, y0 // TILE
     grid = left, top, (x0 + width - 1) // TILE - left + 1, (y0 + height - 1) // TILE - top + 1
     levels = levels_of(exposure, paths, camera, holdout, grid)

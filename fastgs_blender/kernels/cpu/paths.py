@@ -9,10 +9,11 @@ from __future__ import annotations
 
 import itertools
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from ...cameras.camera import Camera
 from ...rendering.exposure import Exposure
 from .jit import inline, kernel
 from .raster import TILE
@@ -27,6 +28,8 @@ SHARP = 16.0
 """Samples by square pixel of its blur (radius squared) that make the edge of a mesh, which is sharper than any splat, even to 0.02."""
 FADE = 4.0
 """Standard deviations to whose movement a change of opacity from 0 to 1 is equal."""
+AROUND = 0.25
+"""Share of the window's longer side by which snapshots reach beyond it."""
 FAINT = 0.05
 """Opacity below which it does not matter that a splat comes into the picture, or leaves it, while the shutter is open."""
 
@@ -81,10 +84,18 @@ class Snapshot:
         return np.where(self.seen & other.seen, both, np.where(alone, np.inf, 0)).astype(np.float32)
 
 
-def measure(exposure: Exposure, total: int, snapshot: Callable[..., Snapshot]) -> Paths:
-    """The Paths of all Gaussians; snapshot(time, point) gives the Snapshot at a time through a point of the lens."""
+def measure(exposure: Exposure, instances: list, camera: Camera, snapshot: Callable[..., Snapshot]) -> Paths:
+    """The Paths of all Gaussians; snapshot(instances, camera, total) gives the Snapshot of all of them.
+
+    It is taken of more than the picture: what is not seen from where it comes into the picture would need all samples there.
+    """
     times, rim = _snapshot_places(exposure)
-    looks = [snapshot(*each) for each in times + rim]
+    total, margin, (x, y, width, height) = sum(len(each.model) for each in instances), int(AROUND * max(camera.window[2:])), camera.window
+    looks = []
+    for place in times + rim:
+        moved, eye = exposure.scene(instances, camera, *place)
+        looks.append(snapshot(moved, replace(eye, width=eye.width + 2 * margin, height=eye.height + 2 * margin, cx=eye.cx + margin,
+                                             cy=eye.cy + margin, window=(x, y, width + 2 * margin, height + 2 * margin)), total))
     middle = looks[len(times) // 2]
     low, high = np.full((total, 2), np.inf, np.float32), np.full((total, 2), -np.inf, np.float32)
     for look in looks:
@@ -100,8 +111,11 @@ def measure(exposure: Exposure, total: int, snapshot: Callable[..., Snapshot]) -
     first, last = looks[0], looks[len(times) - 1]
     shift = np.where((first.seen & last.seen)[:, None], last.mean - first.mean, 0)
     reach = (1.1 * blur + 1)[:, None]
-    needed = np.maximum(_steps(path, path / STEP), _steps(2 * area, 3 * area**2))
-    return Paths(np.concatenate([low - reach, high + reach], 1), shift, blur, needed)
+    lens = _steps(2 * area, 3 * area**2)
+    if exposure.aperture and exposure.aperture.blades % 2:
+        lens = np.where(lens > 1, 2 * lens, 1)  # a point has none opposite, which would undo what it does to first order
+    needed = np.maximum(_steps(path, path / STEP), lens)
+    return Paths(np.concatenate([low - reach, high + reach], 1) - np.float32(margin), shift, blur, needed)
 
 
 def levels_of(exposure: Exposure, paths: Paths, camera, holdout, grid) -> np.ndarray:

@@ -74,8 +74,7 @@ class Taken:
         self.device, self.models, self.exposure, self.instances, self.camera = device, models, exposure, instances, camera
         self.holdout, self.objects, self.by_pixel = holdout, objects, by_pixel
         self.packs = {id(instance.model): models.packs(instance.model) for instance in instances}
-        total = sum(len(instance.model) for instance in instances)
-        paths = measure(exposure, total, lambda *place: self._snapshot(*exposure.scene(instances, camera, *place), total))
+        paths = measure(exposure, instances, camera, self._snapshot)
         self.levels = levels_of(exposure, paths, camera, holdout, grid_of(camera.window))
         self.samples = exposure.samples(int(self.levels.max()))
         self.stretched = stretching(device, paths, len(self.samples) - 1)
