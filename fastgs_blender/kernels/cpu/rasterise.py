@@ -73,8 +73,8 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
            occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0)):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
     x0, y0, right, bottom = listing.window
-    out = np.zeros((bottom - y0, right - x0, channels), np.float32)
-    alpha = np.zeros((bottom - y0, right - x0), np.float32)
+    fresh = np.empty if wanted is None else np.zeros  # pages of the latter come in one by one
+    out, alpha = fresh((bottom - y0, right - x0, channels), np.float32), fresh((bottom - y0, right - x0), np.float32)
     total = listing.counts.shape[1]
     wanted = np.ones(total, np.bool_) if wanted is None else wanted
     for first, last in listing.bands(ENTRIES):

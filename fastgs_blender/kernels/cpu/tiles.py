@@ -49,14 +49,14 @@ def which_tiles(wanted, columns: int, rows: int):
 
 
 @kernel
-def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, wanted, counts):
+def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, wanted, changes):
     """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
     The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them, of 2^shift pixels.  wanted: which of these get lists,
-    as which_tiles() tells.  counts [columns * rows] counts the splats of each tile.  Returns (splat, first tile, tile after the last) of
-    every run, three int32 arrays.
+    as which_tiles() tells.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays, and adds to changes
+    [columns * rows + 1] by how much the number of a tile's splats differs from that of the tile before it.
     """
-    splat = np.empty(2 * (last - first) + 16, np.int32)
+    splat = np.empty(4 * (last - first) + 16, np.int32)
     begin, end = np.empty_like(splat), np.empty_like(splat)
     n, tile, (sums, after, before) = 0, 1 << shift, wanted
     some = len(after) > 0
@@ -103,8 +103,8 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
             if one > other:
                 continue
             splat[n], begin[n], end[n] = i, one, other + 1
-            for touched in range(begin[n], end[n]):
-                counts[touched] += 1
+            changes[one] += 1
+            changes[other + 1] -= 1
             n += 1
     return splat[:n], begin[:n], end[:n]
 
