@@ -72,7 +72,8 @@ def _quaternion(constant, n, turn):
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     if norm <= 1e-12:
         return 1.0, 0.0, 0.0, 0.0, 0.0
-    return qw / norm, qx / norm, qy / norm, qz / norm, norm
+    unit = 1.0 / norm
+    return qw * unit, qx * unit, qy * unit, qz * unit, norm
 
 
 @inline
@@ -228,7 +229,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
     hides, filtered, sampled = len(crops[1]) > 0, len(hidden) > 0, sampling[0][PIXEL] > 0.0
     out = first
-    for n in range(first, last):
+    for n in range(np.uintp(first), np.uintp(last)):
         if (filtered and hidden[n]) or not in_ball(position, n, ball):
             continue
         faintness = 1.0 + exp(-opacity[n])
@@ -281,7 +282,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             sigma *= math.sqrt(sharp / det)
             if not (sigma >= alpha_cut):
                 continue
-        log2_sigma = math.log2(sigma)
+        log2_sigma = np.float64(math.log2(np.float32(sigma)))
         reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
         radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
         if not (mx + radius_x >= left and mx - radius_x <= right and my + radius_y >= top and my - radius_y <= bottom):
@@ -324,11 +325,12 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             if not faint > -np.inf:
                 continue
         root = math.sqrt(s11)
+        l22, whole = SCALE / root, 1.0 / math.sqrt(det)
         geometry[out, raster.MEAN_X] = mx
         geometry[out, raster.MEAN_Y] = my
-        geometry[out, raster.L11] = SCALE * root / math.sqrt(det)
-        geometry[out, raster.L21] = -SCALE * s01 / (root * math.sqrt(det))
-        geometry[out, raster.L22] = SCALE / root
+        geometry[out, raster.L11] = SCALE * root * whole
+        geometry[out, raster.L21] = -s01 * l22 * whole
+        geometry[out, raster.L22] = l22
         attributes[out, raster.LOG2_OPACITY] = log2_sigma + faint
         attributes[out, raster.ALPHA_MAX] = alpha_max
         attributes[out, raster.LOG2_CUT] = log2_cut + faint
