@@ -13,6 +13,8 @@ import threading
 
 import numba
 import numpy as np
+from numba.core.caching import FunctionCache
+from numba.core.runtime import rtsys
 
 from ...util.remarks import remark
 from . import cache
@@ -29,17 +31,27 @@ def _numba_cache():
         numba.config.CACHE_DIR = before
 
 
+class Kept(FunctionCache):
+    """Machine code in the cache.  numba's own class has everything ready that compiling needs before it reads any: 0.15 s."""
+
+    def load_overload(self, sig, target_context):
+        """The code for a signature, or None, as numba's does it."""
+        rtsys.initialize(target_context)
+        with self._guard_against_spurious_io_errors():
+            return self._load_overload(sig, target_context)
+
+
 def kernel(function):
     """Decorator: compile on the first call, run without Python's lock, keep the machine code."""
     options = dict(nogil=True, error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False)
     # numba files code under the path of its source: a folder that several Blenders link to is compiled once for all of them
     function.__code__ = function.__code__.replace(co_filename=os.path.realpath(function.__code__.co_filename))
-    try:
+    compiled = numba.njit(**options)(function)
+    with contextlib.suppress(OSError, RuntimeError):  # nowhere to write: compile anew in every process
         FOLDER.mkdir(parents=True, exist_ok=True)
         with _numba_cache():
-            return numba.njit(cache=True, **options)(function)
-    except (OSError, RuntimeError):  # nowhere to write: compile anew in every process
-        return numba.njit(**options)(function)
+            compiled._cache = Kept(function)
+    return compiled
 
 
 inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never", forceinline=True)
