@@ -45,9 +45,10 @@ class CPU:
     def draw(self, instances, camera, layout, probes, progress, holdout=None) -> Buffers:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
-        picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, camera, probes,
-                            lambda f: progress(0.35 + 0.6 * f), holdout=holdout, plane=layout.plane, by_pixel=layout.by_pixel,
-                            core=layout.core)
+        order, channels, rows = splats.order(), splats.channels, (splats.geometry, splats.attributes)
+        del splats  # the rest of which is memory
+        picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), holdout=holdout,
+                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core)
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):

@@ -64,14 +64,17 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     else:
         kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None, core=core)
     middle = camera.width / 2, camera.height / 2
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, wanted, occluder, held, middle)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, wanted, occluder, held, middle, once=True)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},
                    *((held[:, :width], held[:, width:]) if occluder else ()))
 
 
 def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, wanted=None,
-           occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0)):
-    """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band."""
+           occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0), once: bool = False):
+    """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band.
+
+    once: the listing's segments are given up when their lists have been made.
+    """
     x0, y0, right, bottom = listing.window
     fresh = np.empty if wanted is None else np.zeros  # pages of the latter come in one by one
     out, alpha = fresh((bottom - y0, right - x0, channels), np.float32), fresh((bottom - y0, right - x0), np.float32)
@@ -79,6 +82,8 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
     wanted = np.ones(total, np.bool_) if wanted is None else wanted
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
+        if once and last == total:
+            listing.segments.clear()
         rest = (*listing.frame, *lists, geometry, attributes, out, alpha, extra)
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
         pieces = [piece for piece in _tiles(first, last) if wanted[slice(*piece)].any()]

@@ -14,6 +14,8 @@ DIGIT = 11
 
 _scratch = threading.local()
 """Each thread's memory from one sort to the next: fresh pages would take as long as a pass."""
+KEPT = 800_000
+"""Length up to which these are kept: longer ones are in large pages, which take little."""
 
 
 @kernel
@@ -36,9 +38,12 @@ def scatter(keys, order, low, shift, mask, begins, keys_out, order_out):
 
 
 def _buffers(length: int) -> list[np.ndarray]:
-    if len(getattr(_scratch, "buffers", ([],))[0]) < length or len(_scratch.buffers[0]) > 4 * length + 1_000_000:
-        _scratch.buffers = [np.empty(length, kind) for kind in (np.uint32, np.uint32, np.int32, np.int32)]
-    return [buffer[:length] for buffer in _scratch.buffers]
+    kept = getattr(_scratch, "buffers", [np.empty(0)])
+    if length > len(kept[0]):
+        kept = [np.empty(length, kind) for kind in (np.uint32, np.uint32, np.int32, np.int32)]
+        if length < KEPT:
+            _scratch.buffers = kept
+    return [buffer[:length] for buffer in kept]
 
 
 def order_by(depth: np.ndarray, index: np.ndarray) -> np.ndarray:
