@@ -21,7 +21,8 @@ from .raster import TILE
 STEP = 1.5
 """Standard deviations by which a splat may move from one sample to the next: a sum of Gaussians so far apart is even to 3e-4."""
 ENDS = 4.0
-"""Steps for a path of one standard deviation, growing with its root: the sum then has the streak's ends to 3e-3."""
+"""Steps for the path of an opaque splat over one standard deviation, growing with the roots of path and opacity: the sum then has the
+streak's ends to 3e-3."""
 STILL = 0.2
 """Standard deviations of movement up to which the middle of the exposure stands for all of it."""
 SHARP = 16.0
@@ -111,10 +112,11 @@ def measure(exposure: Exposure, instances: list, camera: Camera, snapshot: Calla
     first, last = looks[0], looks[len(times) - 1]
     shift = np.where((first.seen & last.seen)[:, None], last.mean - first.mean, 0)
     reach = (1.1 * blur + 1)[:, None]
-    lens = _steps(2 * area, 3 * area**2)
+    strength = np.max([look.opacity for look in looks], 0)
+    lens = _steps(2 * area, 3 * area**2, strength)
     if exposure.aperture and exposure.aperture.blades % 2:
         lens = np.where(lens > 1, 2 * lens, 1)  # a point has none opposite, which would undo what it does to first order
-    needed = np.maximum(_steps(path, path / STEP), lens)
+    needed = np.maximum(_steps(path, path / STEP, strength), lens)
     return Paths(np.concatenate([low - reach, high + reach], 1) - np.float32(margin), shift, blur, needed)
 
 
@@ -126,9 +128,10 @@ def levels_of(exposure: Exposure, paths: Paths, camera, holdout, grid) -> np.nda
     return levels
 
 
-def _steps(path: np.ndarray, even: np.ndarray) -> np.ndarray:
-    """Into how many steps an exposure should be divided for paths of this length, of which so many make an even streak."""
-    return np.where(path > STILL, np.maximum(even, ENDS * np.sqrt(path)), 1)
+def _steps(path: np.ndarray, even: np.ndarray, strength: np.ndarray | float = 1.0) -> np.ndarray:
+    """Into how many steps an exposure should be divided for paths of this length, of which so many make an even streak; strength: the
+    opacity of what moves."""
+    return np.where(path > STILL, np.maximum(even, ENDS * np.sqrt(path * strength)), 1)
 
 
 def _snapshot_places(exposure: Exposure) -> tuple[list, list]:
