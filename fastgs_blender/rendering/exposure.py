@@ -5,6 +5,7 @@ An exposure is a set of samples.  Each sample is a picture that render() makes, 
 their average in linear light.  With more samples it converges to the average over all times and all points.
 """
 from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 
@@ -221,7 +222,7 @@ class Exposure:
         return self.moments[i], self.moments[min(i + 1, len(self.moments) - 1)], at - i
 
 
-def replace_time(instance: Instance, t: float, placement=None) -> Instance:
+def replace_time(instance: Instance, t: float, placement: np.ndarray | None = None) -> Instance:
     """The instance at another time, and perhaps at another place, before no camera."""
     plain = {f.name: getattr(instance, f.name) for f in fields(Instance)}
     return Instance(**plain | {"placement": instance.placement if placement is None else placement, "t": t})
@@ -233,7 +234,7 @@ def _mixed_camera(before: Moment, after: Moment, share: float) -> Camera:
     if share == 0:
         return a
 
-    def mixed(name):
+    def mixed(name: str) -> Any:
         return getattr(a, name) + share * (getattr(b, name) - getattr(a, name))
 
     poses = [np.linalg.inv(camera.world_to_camera) for camera in (a, b)]
@@ -255,7 +256,8 @@ class Film:
         self.alpha, self.held = np.zeros((height, width), np.float32), np.zeros((height, width), np.float32)
         self.encoded = spaces == {"srgb"}
 
-    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float, held: np.ndarray | None = None, shares=None):
+    def add(self, rgb: np.ndarray | None, alpha: np.ndarray, weight: float, held: np.ndarray | None = None,
+            shares: np.ndarray | None = None) -> None:
         """Add a sample's picture."""
         if shares is not None:
             self.shares += (weight * shares).astype(np.float32)

@@ -7,9 +7,10 @@ that is read back when it is done.
 """
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import NoReturn
 
 import numpy as np
 
@@ -34,7 +35,7 @@ LIGHT = 4
 
 
 def expose(device: Device, models: Models, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool,
-           progress: Callable[[float], None], holdout: np.ndarray | None, objects, by_pixel: bool):
+           progress: Callable[[float], None], holdout: np.ndarray | None, objects: Sequence[tuple[str, int]], by_pixel: bool) -> Exposed:
     """PictureBackend.expose(); pictures whose film is too large for one buffer are exposed in strips of rows of tiles."""
     x0, y0, width, height = camera.window
     _, top, columns, rows = grid_of(camera.window)
@@ -60,7 +61,7 @@ class DeviceFilm:
     """The sums over an exposure's samples, on a device: light [h, w, LIGHT], and columns [h, w, .] of what a holdout stops and of the
     objects' shares."""
 
-    def __init__(self, device: Device, window: tuple[int, int, int, int], held: int, objects: int):
+    def __init__(self, device: Device, window: tuple[int, int, int, int], held: int, objects: int) -> None:
         x0, y0, width, height = window
         self.window, self.size, self.corner = window, (height, width), [x0 % TILE, y0 % TILE]
         self.light, self.held, self.shares = (device.zeros((*self.size, number)) for number in (LIGHT, held, objects))
@@ -69,8 +70,8 @@ class DeviceFilm:
 class Taken:
     """An exposure of instances on a device: the samples that it takes, and how they are drawn."""
 
-    def __init__(self, device: Device, models: Models, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, holdout,
-                 objects, by_pixel: bool):
+    def __init__(self, device: Device, models: Models, exposure: Exposure, instances: list[ViewedInstance], camera: Camera,
+                 holdout: np.ndarray | None, objects: Sequence[tuple[str, int]], by_pixel: bool) -> None:
         self.device, self.models, self.exposure, self.instances, self.camera = device, models, exposure, instances, camera
         self.holdout, self.objects, self.by_pixel = holdout, objects, by_pixel
         self.packs = {id(instance.model): models.packs(instance.model) for instance in instances}
@@ -96,7 +97,8 @@ class Taken:
         developed.rgb, developed.alpha = np.ascontiguousarray(values[..., :3]), np.ascontiguousarray(values[..., 3])
         return *developed.picture(), film.held.numpy().sum(-1), film.shares.numpy()
 
-    def _add(self, film: DeviceFilm, moved: list[ViewedInstance], eye: Camera, weights: Array, triangles, colours: bool) -> None:
+    def _add(self, film: DeviceFilm, moved: list[ViewedInstance], eye: Camera, weights: Array, triangles: np.ndarray | None,
+             colours: bool) -> None:
         """Draw a sample, and add it to the film, each tile's with its weight."""
         device = self.device
         layout = Layout(moved, False, {"shares": shares(moved, self.objects)} if self.objects else None, self.holdout is not None,
@@ -161,5 +163,5 @@ def stretching(device: Device, paths: Paths, steps: int) -> Callable[[Piece], No
     return widen
 
 
-def _nothing_instead():
+def _nothing_instead() -> NoReturn:
     raise AssertionError("the film alone is read")
