@@ -37,6 +37,8 @@ def scan(device: Device, values: Buffer, count: int) -> None:
 
 def sort(device: Device, keys: Buffer, values: Buffer, count: int, bits: int) -> tuple[Buffer, Buffer]:
     """Keys of so many bits in their order, and each one's value; equal keys keep theirs.  Both buffers are written to."""
+    if not count:
+        return keys, values
     blocks, digits = -(-count // KEYS), 1 << DIGIT
     together = min(max(BLOCK // blocks, 1), digits)  # digits whose counts a workgroup scans as one row
     others = device.buffer(count), device.buffer(count)
