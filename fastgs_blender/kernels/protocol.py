@@ -100,8 +100,9 @@ class PictureBackend(Protocol):
         """Where the Gaussians index [M] int64 of an instance are at its time, [M, 3], and the unit quaternions [M, 4] by which they are
         turned, in its model's space and in float64."""
 
-    def contributing(self, instances: list[ViewedInstance], camera: Camera, least: float) -> list[np.ndarray]:
-        """Of each instance, which of its Gaussians may have a weight of `least` or more in a pixel: [N] bool.  It is an estimate."""
+    def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
+        """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and which of these have light left before
+        them in a pixel, [V] bool.  It is an estimate."""
 
     def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float,
                  rows: np.ndarray | None = None) -> np.ndarray:

@@ -349,8 +349,8 @@ class Oracle:
         model, t = instance.model, instance.t
         return positions_at(model, t, index), rotations.unit(quaternions_at(model, t, index))
 
-    def contributing(self, instances: list[ViewedInstance], camera: Camera, least: float) -> list[np.ndarray]:
-        return [np.ones(len(each.model), bool) for each in instances]
+    def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
+        return [(np.sort(order_in_numpy([each], camera)).astype(np.int64), np.array(True)) for each in instances]
 
     past_triangles = staticmethod(past_triangles)
     thinnest = staticmethod(thinnest)

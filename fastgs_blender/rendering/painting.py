@@ -31,14 +31,14 @@ def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndar
     """The features [M, F] with which the Gaussians `index` of an instance, at places [M, 3] in the model's space, have their colours times
     gains [M, 3], scene linear, as its camera sees them: one for each of the gains; and what makes colours of them."""
     model, look = instance.model, momentary(instance.model.appearance)
-    features, colour = seen_colours(instance, index, places)
-    unit, before = 1.0, colour
+    unit = SH_C0 if isinstance(look, SH) else 1.0
     if isinstance(look, Features):
-        look = replace(look, activation="none")
-        now = _now(features, instance.t - model.mu_tau[index].astype(np.float64))
-        before = decode(now, instance.camera_to_model[:3, 3], _rays(instance, index, places), look)
+        bare = replace(look, activation="none")
+        features, before = seen_colours(replace(instance, model=replace(model, appearance=bare)), index, places)
+        look, colour = bare, look.activated(before)
     else:
-        unit = SH_C0 if isinstance(look, SH) else 1.0
+        features, colour = seen_colours(instance, index, places)
+        before = colour
     linear, out = colour if model.colour_space == "linear" else srgb_to_linear(np.maximum(colour, 0)), []
     for gain in gains:
         seen = linear * gain

@@ -38,8 +38,6 @@ from .ways import Side, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
-LEAST = 3e-4
-"""Gaussians that have less weight than this in each pixel are left out."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
 
@@ -84,9 +82,9 @@ class SceneLight:
             return list(instances)
         out = list(instances)
         viewed = {number: each.viewed(camera) for number, each in enumerate(instances) if len(each.model)}
-        marks = backend.contributing(list(viewed.values()), camera, LEAST) if still else [None] * len(viewed)
-        shows = {number: mark if instances[number].settings.takes_light else None for number, mark in zip(viewed, marks, strict=True)}
-        surfaces = [_Surface(viewed[number], backend, shows[number]) for number in wanted]
+        shows = backend.contributing(list(viewed.values()), camera) if still else [None] * len(viewed)
+        shown = {number: show if instances[number].settings.takes_light else None for number, show in zip(viewed, shows, strict=True)}
+        surfaces = [_Surface(viewed[number], backend, shown[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
         arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
@@ -112,12 +110,16 @@ class SceneLight:
             rows = np.flatnonzero(shares.any(0))
             shares, lit = shares[:, rows], spots.part(rows)
             sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
-            sums = np.zeros((4, 3, len(rows)))
+            sums, alike = np.zeros((4, 3, len(rows))), np.zeros((4, len(rows)))
             for k, share in enumerate(shares):
-                past = np.stack([share] * 4)
+                alike[0] += share
                 for side, part in sides:
-                    past[1:, side.rows] *= self._through(ways, lamp, k, side, part)
-                sums += past[:, None] * lamp.colour[k][:, None]
+                    at = slice(None) if len(sides) == 1 else side.rows
+                    for stage, past in enumerate(self._through(ways, lamp, k, side, part), 1):
+                        alike[stage, at] += share[at] * past
+                if k + 1 == count or (lamp.colour[k + 1] != lamp.colour[k]).any():
+                    sums += alike[:, None] * lamp.colour[k][:, None]
+                    alike[:] = 0
                 progress((number + (k + 1) / count) / len(self.lamps))
             total[self.levels[number]][..., rows] += sums
         return total
@@ -174,7 +176,9 @@ class _Spots:
 
     @cached_property
     def _inverse(self) -> np.ndarray:
-        return self.axes / self._squares
+        """Of each, the inverse of the covariance: [6, P] xx, yy, zz and twice xy, xz, yz."""
+        x, y, z = self.axes / self._squares
+        return np.stack([sum(a * b) for a, b in ((x, x), (y, y), (z, z), (2 * x, y), (2 * x, z), (2 * y, z))])
 
     @cached_property
     def _wide(self) -> np.ndarray:
@@ -184,8 +188,9 @@ class _Spots:
     def thickness(self, towards: np.ndarray) -> np.ndarray:
         """The standard deviation [P] of the spots along lines through their middles with directions [3, P], or one [3, 1]."""
         x, y, z = towards
-        along = self._inverse[0] * x + self._inverse[1] * y + self._inverse[2] * z
-        return np.sqrt((towards * towards).sum(0) / np.maximum((along * along).sum(0), 1e-30))
+        xx, yy, zz, xy, xz, yz = self._inverse
+        along = x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * (z * z)
+        return np.sqrt((x * x + y * y + z * z) / np.maximum(along, 1e-30))
 
     def spread(self, number: int, share: float) -> np.ndarray:
         """Places [S, 3, P] all over the spots, from which the point `number` of a lamp is looked at: if much of its light, a share, comes
@@ -229,13 +234,10 @@ class _Surface:
     local  [M, 3] their places in the model's space
     """
 
-    def __init__(self, instance: ViewedInstance, backend: Any, shows: np.ndarray | None):
-        if shows is None:
-            shown = Shown(instance, np.arange(len(instance.model)), backend)
-            rows = shown.index
-        else:
-            shown = Shown.all_of(instance, backend)
-            rows = np.flatnonzero(shows[shown.index])
+    def __init__(self, instance: ViewedInstance, backend: Any, shows: tuple[np.ndarray, np.ndarray] | None):
+        every = np.arange(len(instance.model))
+        index, marks = (every, np.array(True)) if shows is None else shows
+        shown, rows = Shown(instance, index, backend), np.flatnonzero(np.broadcast_to(marks, index.shape))
         spread = shown.spread[..., rows]
         self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
         self.axes = (instance.placement[:3, :3] @ spread.reshape(3, -1)).reshape(spread.shape)

@@ -67,7 +67,7 @@ class CPU:
     surface = staticmethod(surface)
     posed, thinnest = staticmethod(posing.posed), staticmethod(thinnest.thinnest)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
-    contributing = staticmethod(passing.contributing)
+    contributing = staticmethod(light.contributing)
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):

@@ -5,8 +5,6 @@ Splats and triangles are listed by tile, as for a picture; the points of a tile 
 """
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 from numba import float32
 
@@ -25,17 +23,12 @@ from .tile_lists import TileLists, list_tiles
 
 TILE = 64
 """Pixels of a tile's side: large splats, which stand near a lamp, are in few lists."""
-PART = 16
+PART = 8
 """Pixels of the side of the squares by which a tile's points are sorted, so that those side by side ask for much the same splats."""
 PARTS = (TILE // PART) ** 2
 CHUNK = 16_384
 """Points in one piece of work."""
-SMALL, COARSE = 400, 2
-"""Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
-WIDER = 2.0
-"""Factor to the blur of splats there: with 4 those smaller than a pixel hide too much, with 1 they fall between the pixels."""
-NONE = np.empty(0, np.bool_)
-BATCH = 16
+BATCH = 8
 """Points of a tile that go past its splats together, of neighbouring depths."""
 LAYERS = 2047
 """By which points are sorted: what is sorted has as many bits as one pass takes."""
@@ -48,46 +41,15 @@ EXP2 = (0.999999945, 0.693143204, 0.240179499, 0.0552996223, 0.00921088407, 0.00
 def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
     """PictureBackend.past_splats()."""
     asserts.past_splats(points, over)
-    layout = Layout(instances, False, plane=True)
+    layout, out = Layout(instances, False, plane=True), np.ones(len(points), np.float32)
     splats = project_instances(instances, camera, layout)
-    return _past(splats, layout, camera, lambda grid: _by_tile(grid, TILE, camera, points, over), float32(0.0), NONE)
-
-
-def contributing(instances, camera, least: float) -> list[np.ndarray]:
-    """PictureBackend.contributing(): where pictures are large, looked at through fewer pixels, in which splats are a little wider."""
-    by, wider = (COARSE, WIDER) if max(camera.width, camera.height) > SMALL else (1, 1.0)
-    coarse = camera.stretched(*(-(-side // by) for side in (camera.width, camera.height)))
-    width, height = coarse.width + 2, coarse.height + 2  # one more to each side: splats reach in
-    coarse = replace(coarse, width=width, height=height, cx=coarse.cx + 1, cy=coarse.cy + 1, window=(0, 0, width, height))
-    rasters = [replace(each.model.raster, blur=each.model.raster.blur * wider / by**2) for each in instances]
-    drawn = [replace(each, camera=coarse, model=replace(each.model, raster=own)) for each, own in zip(instances, rasters, strict=True)]
-    layout = Layout(drawn, False, plane=True)
-    splats, marks = project_instances(drawn, coarse, layout), np.zeros(sum(len(each.model) for each in drawn), np.bool_)
-    y, x = (axis.ravel() for axis in np.mgrid[:height, :width])
-    seen = np.stack([x + 0.5, y + 0.5, np.full(len(x), np.inf)], 1)
-
-    def by_tile(grid):
-        part = (y // TILE * grid[2] + x // TILE) * PARTS + y % TILE // PART * (TILE // PART) + x % TILE // PART
-        return seen, *list_points(np.arange(len(x), dtype=np.int32), part.astype(np.int32), grid[2] * grid[3] * PARTS)
-
-    _past(splats, layout, coarse, by_tile, float32(least), marks)
-    found = []
-    for each, pieces in zip(drawn, splats.runs, strict=True):
-        found.append(np.zeros(len(each.model), bool))
-        for first, number in pieces:
-            found[-1][splats.source[first:first + number]] = marks[first:first + number]
-    return found
-
-
-def _past(splats, layout, camera, by_tile, least, marks) -> np.ndarray:
-    """What transmitted() finds for points as by_tile(grid of tiles) lists them."""
     listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera, TILE)
-    seen, begins, asked = by_tile(listing.grid)
-    out = np.ones(len(seen), np.float32)
+    seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
-        rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, raster.CHANNEL + layout.plane, begins, asked, seen,
-                camera.width / 2, camera.height / 2, out, least, marks)
+        plane = raster.CHANNEL + layout.places["plane"].start
+        rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, plane, begins, asked, seen, camera.width / 2,
+                camera.height / 2, out)
         run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
     return out
 
@@ -112,13 +74,14 @@ def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray, by_d
     """Points by part of tiles: x and y in pixels and the depth that counts of each [P, 3], where each part's points begin in a list of
     their indices, [parts + 1], and the list, by about their depth, where that is asked for.
 
-    size: pixels of a tile's side; its parts, one after another, have PART.  Points beside the window are in the nearest part, those behind
-    the camera in none.
+    size: pixels of a tile's side; its parts, one after another, have PART if by_depth.  Points beside the window are in the nearest part,
+    those behind the camera in none.
     """
-    seen, part, parts = np.zeros((len(points), 3)), np.empty(len(points), np.int32), (size // PART) ** 2
+    split = size // PART if by_depth else 1
+    seen, part, parts = np.zeros((len(points), 3)), np.empty(len(points), np.int32), split**2
     rest = (points, over, np.ascontiguousarray(camera.world_to_camera[:3]),
             tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
-            size // PART, seen, part)
+            split, size // split, seen, part)
     run(lambda a, b: place(a, b, *rest), ranges(len(points), CHUNK))
     order, depth = np.arange(len(points), dtype=np.int32), seen[:, 2]
     if by_depth:
@@ -128,7 +91,7 @@ def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray, by_d
 
 
 @kernel
-def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, split, seen, part):
+def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, split, side, seen, part):
     """Where the points first..last are seen, and in which part of which tile, split x split of each, as _by_tile() says; the number after
     the last for those in none."""
     fx, fy, cx, cy = lens
@@ -141,8 +104,8 @@ def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, c
             continue
         unit = 1.0 if orthographic else 1.0 / z
         seen[p, 0], seen[p, 1], seen[p, 2] = fx * x * unit + cx, fy * y * unit + cy, z - over[p]
-        column = np.int64(min(max(seen[p, 0] / PART - tile_x * split, 0.0), columns * split - 1.0))
-        row = np.int64(min(max(seen[p, 1] / PART - tile_y * split, 0.0), rows * split - 1.0))
+        column = np.int64(min(max(seen[p, 0] / side - tile_x * split, 0.0), columns * split - 1.0))
+        row = np.int64(min(max(seen[p, 1] / side - tile_y * split, 0.0), rows * split - 1.0))
         part[p] = (row // split * columns + column // split) * split * split + row % split * split + column % split
 
 
@@ -178,13 +141,10 @@ def exp2(x):
 
 @kernel
 def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
-                out, least, marks):
-    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes.
-
-    Where marks [splats] is not empty, it becomes True for splats that take `least` or more of the light on the way to one of the points.
-    """
+                out):
+    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
     state, box, splat = np.empty((4, BATCH), np.float32), np.empty((4, 0), np.float32), np.empty((0, 12), np.float32)
-    near, inside, marking = np.empty(0, np.int32), np.empty(0, np.bool_), len(marks) > 0
+    near, inside = np.empty(0, np.int32), np.empty(0, np.bool_)
     px, py, limit, light = state[0], state[1], state[2], state[3]
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
@@ -213,18 +173,13 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
                     z, slope_x, slope_y, peak, most, cut = splat[k, 6], splat[k, 7], splat[k, 8], splat[k, 9], splat[k, 10], splat[k, 11]
                     if not depth < farthest:
                         break
-                    taking = np.int32(0)
                     for j in range(BATCH):
                         dx, dy = px[j] - mx, py[j] - my
                         u, v = a * dx + b * dy, c * dy
                         exponent = peak - u * u - v * v
                         before = max(depth, z + slope_x * px[j] + slope_y * py[j])
                         alpha = min(exp2(max(exponent, float32(-8.0))), most)
-                        taken = light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
-                        light[j] -= taken
-                        taking += np.int32(taken >= least)
-                    if marking and taking > 0:
-                        marks[ids[starts[tile] + k]] = True
+                        light[j] -= light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
                     if n % 8 == 7:
                         brightest = float32(0.0)
                         for j in range(count):
