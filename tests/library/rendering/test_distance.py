@@ -294,5 +294,5 @@ def test_viewports_list_all_that_is_soft_enough_to_be_seen(rng):
     instance = Instance(knowing(model, [camera]), np.eye(4), 0.0)
     assert fg.render([instance], eye, backend="cpu")["alpha"].max() > 0.1
     for backend in ("cpu", "reference"):
-        assert len(order([instance.viewed(eye)], eye, 1.0, None, backend)) == 1
-        assert len(order([replace(instance, settings=PLAIN).viewed(eye)], eye, 1.0, None, backend)) == 0
+        assert len(order([instance.viewed(eye)], eye, backend=backend)) == 1
+        assert len(order([replace(instance, settings=PLAIN).viewed(eye)], eye, backend=backend)) == 0
