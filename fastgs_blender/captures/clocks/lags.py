@@ -13,6 +13,8 @@ COMMON_SHARE = 0.5
 FINE = 0.02
 """Samples between two shifts that are tried near the best whole one."""
 ROUNDS = 60
+EACH = 4
+"""Values for each number that is fitted to them."""
 
 
 @dataclass(frozen=True)
@@ -108,3 +110,22 @@ def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
         deviations[camera] = least[k] * (max(1.0, np.median(surprise), np.median(own)) if len(own) > 1 else 2.0)
     offsets[group] = found - np.median(found)
     return offsets, deviations
+
+
+def grown(values: np.ndarray, places: np.ndarray) -> np.ndarray:
+    """What of values [n] grows evenly with places [n, 3], less its median; 0 where too few are known (not NaN) to tell it from chance.
+
+    The sum of absolute differences is least, so that single values that stand out add nothing.
+    """
+    known = np.isfinite(values)
+    axes = min(3, int(known.sum()) // EACH - 1)
+    if axes < 1:
+        return np.zeros(len(values))
+    along = places - places[known].mean(0)
+    along = along @ np.linalg.svd(along[known], full_matrices=False)[2][:axes].T
+    terms = np.hstack([np.ones((len(values), 1)), along / max(np.abs(along).max(), 1e-30)])
+    found = np.zeros(axes + 1)
+    for _ in range(ROUNDS):
+        weights = np.sqrt(1 / (np.abs(terms @ found - values)[known] + 1e-3))
+        found = np.linalg.lstsq(weights[:, None] * terms[known], weights * values[known], rcond=None)[0]
+    return terms @ found - np.median(terms[known] @ found)

@@ -15,9 +15,9 @@ from toy_captures import toy_scene
 from uneven_captures import write_uneven
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.captures.clocks import lags
+from fastgs_blender.captures.clocks import epipolar, lags
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
-from fastgs_blender.captures.clocks.find import find_offsets
+from fastgs_blender.captures.clocks.find import by_epipolar_planes, find_offsets
 from fastgs_blender.captures.clocks.sound import onsets
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import record
@@ -271,6 +271,22 @@ def test_one_wrong_pair_does_no_harm():
     pairs[0] = replace(pairs[0], lag=9.0)
     offsets, _ = lags.settled(5, pairs)
     assert offsets[:4] == pytest.approx([0, 1, -2, 0], abs=0.01) and np.isnan(offsets[4])
+
+
+def test_what_grows_along_a_rig_is_no_clock(tmp_path, monkeypatch, rng):
+    """A thing that turns shows its sides to one camera after the other; three cameras with a clock of their own stand out of that."""
+    capture = open_capture(write_uneven(tmp_path, 12, 12, zoom=3), offsets={})
+    places = np.array([next(shot.camera.centre for shot in capture.shots if shot.view == view) for view in capture.views])
+    slope = places @ [0.3, 0.1, -0.2] / np.ptp(places, axis=0).max()
+    for grows, clocks in (1.0, {}), (0.0, {2: 1.5, 7: -0.8, 10: 0.3}), (1.0, {2: 2.5}):
+        true = grows * slope + [clocks.get(k, 0.0) for k in range(12)]
+        pairs = [lags.Pair(i, j, true[j] - true[i] + rng.normal(0, 0.02), 0.05, 0.5) for i in range(12) for j in range(i + 1, 12)]
+        monkeypatch.setattr(epipolar, "pairs", lambda *_, pairs=pairs: (capture.views, pairs))
+        found = by_epipolar_planes(capture)
+        assert {capture.views.index(view) for view, offset in found.clocks.offsets.items() if offset} == set(clocks)
+        assert bool(found.lost) == bool(grows)
+    few = lags.grown(np.array([0.0, 1.0, 2.0, np.nan]), places[:4])
+    assert (few == 0).all()
 
 
 def test_values_between_samples():
