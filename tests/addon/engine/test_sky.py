@@ -189,3 +189,16 @@ def test_what_changes_a_world_changes_its_key(scene, world, module):
         change()
         seen.append(key())
     assert len(set(seen)) == len(seen)
+
+
+def test_a_viewport_asks_for_a_world_as_it_is_seen_and_as_it_lights(scene, world, module, monkeypatch):
+    """Each once, until the scene changes."""
+    scene.world.node_tree.nodes.new('ShaderNodeLightPath')
+    asked, viewports = [], module("engine.viewport.spaces").Viewports()
+    monkeypatch.setattr(module("scene.sky").sky, "ask", asked.append)
+    monkeypatch.setattr(viewports, "start", lambda: None)
+    for light in (False, True, False):
+        assert viewports._panorama(scene, scene.world, light) is None
+    viewports._background(scene, scene.view_layers[0])
+    assert [request.light for request in asked] == [False, True, False, False]
+    assert asked[0] is asked[2] is asked[3]
