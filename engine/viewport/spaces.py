@@ -124,8 +124,8 @@ class Viewports:
 
     def _panorama(self, scene, shown, light=False) -> sky.Panorama | None:
         """The panorama of a world, as cameras see it or as it lights, or the one that was there before until it has been rendered."""
-        self._request = self._once(
-            f"world, {light}", lambda: sky.WorldRequest(shown, (scene.frame_current, scene.frame_subframe), light))
+        self._request = self._once("world as it lights" if light else "world as it is seen", lambda: sky.WorldRequest(
+            shown, (scene.frame_current, scene.frame_subframe), light))
         found = sky.sky.get(self._request)
         if found is None:
             sky.sky.ask(self._request)

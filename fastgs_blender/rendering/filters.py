@@ -15,7 +15,7 @@ from ..model.appearance import SH, SH_C0, momentary
 from ..model.gaussians import GaussianModel
 from ..model.slicing import opacities_at, positions_at, sigmoid
 from ..util.errors import FastGSError
-from .importance import kept_rank
+from .importance import importance_rank
 from .masks import unpack_mask
 
 TIMES = 17
@@ -190,7 +190,7 @@ def hidden(model: GaussianModel, filters: Sequence[Any], mask: str = "", density
     for each in filters:
         out |= ~each.holds(model) if each.keep else each.holds(model)
     if density < 1:
-        out |= kept_rank(model) >= density
+        out |= importance_rank(model) >= density
     with _lock:
         _hidden[model] = asked, out
     return out
