@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks a capture for problems before training: check() measures a bounded part of it and returns a CheckReport.
 
-A check is a module of this folder with run(looked) -> Section, and its name in CHECKS.
+A check is a module of this folder with run(inspection) -> Section, and its name in CHECKS.
 """
 import importlib
 import os
@@ -10,7 +10,7 @@ from collections.abc import Callable, Sequence
 from ..captures import open_capture
 from ..util.errors import FastGSError
 from .report import CheckReport, Section
-from .samples import Looked, look
+from .samples import Inspection, sample
 
 CHECKS = ("files", "calibration", "timing", "exposure", "sharpness", "coverage", "extrapolation", "cost")
 """Names of the checks, in the order in which they are made and shown."""
@@ -41,15 +41,16 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
         reached = max(reached, low + (high - low) * min(share, 1.0))  # clocks may be compared in two ways, one after the other
         report(stage, reached)
 
-    looked = Looked(capture, at)
-    look(looked)
+    inspection = Inspection(capture, at)
+    sample(inspection)
     sections = {}
     for name in CHECKS:
         module = importlib.import_module(f".{name}", __name__)
         try:
-            sections[name] = module.run(looked)
+            sections[name] = module.run(inspection)
         except FastGSError as error:  # what a check needs is not installed, or not there: the others go on
             sections[name] = Section(name.capitalize(), "This could not be looked at.")
             sections[name].add("note", f"{name.capitalize()} could not be checked: {error}", "The other checks were made.")
     report("done", 1.0)
-    return CheckReport(str(path), capture.layout, looked.words(), looked.views, capture.held_out_views, looked.thumbnails, sections)
+    return CheckReport(str(path), capture.layout, inspection.words(), inspection.views, capture.held_out_views,
+                       inspection.thumbnails, sections)

@@ -16,7 +16,7 @@ from . import drawing
 from .matching import Matches
 from .report import Section, listed, rounded
 from .reprojection import OFF, offsets
-from .samples import Looked, Sample
+from .samples import Inspection, Sample
 
 FAR_OFF = 3.0
 """Error, in pixels of the sampled pictures, above which the calibration of the whole rig is reported; of one camera: reprojection.OFF."""
@@ -30,34 +30,34 @@ SAME, ALIKE, SIDE = 1e-6, 0.8, 48
 """Difference of two poses that are equal, in units of the scene; correlation of pictures that are taken from one place, at SIDE pixels."""
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """Measure errors of matches against the calibration; find the wrong cameras and the angle by which each seems turned."""
     section = Section("Calibration", "How many pixels matches between two pictures miss the lines on which the calibration puts them: "
                                      "under 1 is good. They were found without the calibration.")
-    if not looked.capture.posed:
+    if not inspection.capture.posed:
         section.summary = "The capture does not say where its cameras are; training finds them from its pictures first, as was tried here."
-        _unknown_places(section, looked)
+        _unknown_places(section, inspection)
         return section
-    _lenses(section, looked)
-    _same_places(section, looked)
-    matches = looked.matches
+    _lenses(section, inspection)
+    _same_places(section, inspection)
+    matches = inspection.matches
     if not matches.pairs:
         pairs = f"none of {matches.tried} pairs" if matches.tried else "none of the pairs"
         section.add("note", f"The calibration cannot be judged: {pairs} of pictures has enough in common, as with cameras that are far "
                             "apart or a scene without texture.", "Train a draft, and look at the held-out views.")
         return section
-    scale = {view: samples[0].shrunk for view, samples in looked.samples.items()}
-    bad, error = looked.judged.wrong, looked.judged.misses
-    usual = float(np.median([error[view] for view in looked.views if view not in bad and np.isfinite(error[view])] or [np.nan]))
+    scale = {view: samples[0].shrunk for view, samples in inspection.samples.items()}
+    bad, error = inspection.judged.wrong, inspection.judged.misses
+    usual = float(np.median([error[view] for view in inspection.views if view not in bad and np.isfinite(error[view])] or [np.nan]))
     for view in bad:
-        _tell(section, looked, matches, view, error[view] * scale[view], bad)
+        _tell(section, inspection, matches, view, error[view] * scale[view], bad)
     if not bad and np.isfinite(usual) and usual > OFF:
         section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
                     "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
                     "neither cropped, turned nor stabilised, and that lens correction in the cameras was the same as when they were "
                     "calibrated.", (), ("reprojection error", round(usual, 3), "pixels"))
-    _borders(section, looked, matches, bad)
-    unknown = [view for view in looked.views if not np.isfinite(error[view])]
+    _borders(section, inspection, matches, bad)
+    unknown = [view for view in inspection.views if not np.isfinite(error[view])]
     if unknown:
         section.add("note", f"{listed(unknown)} {'has' if len(unknown) == 1 else 'have'} too little in common with the other cameras for "
                     "the calibration to be judged there.", "Look at the coverage; cameras 20 degrees apart have more in common.", unknown)
@@ -72,20 +72,20 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def _unknown_places(section: Section, looked: Looked) -> None:
+def _unknown_places(section: Section, inspection: Inspection) -> None:
     """Find the cameras as training does before its first step, and tell whether it would."""
     features.pycolmap_module()
     ways = ("Photograph the place from between the cameras for COLMAP, or film a calibration board: "
             f"{page('captures')}, three ways to poses.")
     try:
-        cameras, _, frame = calibrated(looked.capture, FrameStore(looked.capture))
+        cameras, _, frame = calibrated(inspection.capture, FrameStore(inspection.capture))
     except FastGSError as error:
         section.add("wrong", f"It does not say where its cameras are, and training would stop without a model: {error}", ways)
         return
-    lost = [view for view in looked.capture.views if view not in cameras]
+    lost = [view for view in inspection.capture.views if view not in cameras]
     if lost:
-        section.add("poor", f"Only {len(cameras)} of {len(looked.capture.views)} cameras can be found from the pictures of frame {frame}; "
-                            f"training would leave out {listed(lost)}.", ways, lost)
+        section.add("poor", f"Only {len(cameras)} of {len(inspection.capture.views)} cameras can be found from the pictures of frame "
+                            f"{frame}; training would leave out {listed(lost)}.", ways, lost)
     else:
         section.add("note", f"All {len(cameras)} cameras can be found from the pictures of frame {frame}.",
                     "Nothing is to be done; their unit of length is arbitrary.")
@@ -111,21 +111,21 @@ def turned_by(matches: Matches, view: str, bad: Collection[str]) -> tuple[float,
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(moved)
 
 
-def _tell(section: Section, looked: Looked, matches: Matches, view: str, error: float, bad: Collection[str]) -> None:
+def _tell(section: Section, inspection: Inspection, matches: Matches, view: str, error: float, bad: Collection[str]) -> None:
     found = turned_by(matches, view, bad)
     by = "it was bumped, zoomed or calibrated wrongly"
     if found is not None:
-        moved = f" and moved by {found[1]:.2g} of the world's units" if found[1] > 0.02 * looked.capture.extent else ""
+        moved = f" and moved by {found[1]:.2g} of the world's units" if found[1] > 0.02 * inspection.capture.extent else ""
         by = f"it seems turned by {found[0]:.1f} degrees{moved} against its calibration, as by a bump"
         section.measures.setdefault("turned_degrees", {})[view] = round(found[0], 3)
     section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.", f"Calibrate {view} again, "
                 "or leave it out: all that it sees is blurred otherwise.", [view], ("reprojection error", round(error, 3), "pixels"))
 
 
-def _borders(section: Section, looked: Looked, matches: Matches, bad: Collection[str]) -> None:
+def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Collection[str]) -> None:
     """Whether errors are larger near the borders, which means that the calibration's lens model is wrong."""
-    inside: dict[str, list] = {view: [] for view in looked.views}
-    outside: dict[str, list] = {view: [] for view in looked.views}
+    inside: dict[str, list] = {view: [] for view in inspection.views}
+    outside: dict[str, list] = {view: [] for view in inspection.views}
     for pair in matches.pairs:
         if pair.a in bad or pair.b in bad:
             continue
@@ -144,8 +144,8 @@ def _borders(section: Section, looked: Looked, matches: Matches, bad: Collection
     section.measures["border_rise_pixels"] = {view: round(value, 4) for view, value in rise.items()}
 
 
-def _lenses(section: Section, looked: Looked) -> None:
-    for view, samples in looked.samples.items():
+def _lenses(section: Section, inspection: Inspection) -> None:
+    for view, samples in inspection.samples.items():
         given, sample = samples[0].shot.image.intrinsics, samples[0]
         if given is None:
             continue
@@ -166,11 +166,11 @@ def _lenses(section: Section, looked: Looked) -> None:
                         "coefficients of distortion if that is a surprise.", [view], ("empty share", round(empty, 3), ""))
 
 
-def _same_places(section: Section, looked: Looked) -> None:
+def _same_places(section: Section, inspection: Inspection) -> None:
     """Cameras that have one pose and show different things."""
     groups: list[dict[str, Sample]] = []
-    for view, (sample, *_) in looked.samples.items():
-        own = next((group for group in groups if _same_pose(sample, next(iter(group.values())), looked.capture.extent)), None)
+    for view, (sample, *_) in inspection.samples.items():
+        own = next((group for group in groups if _same_pose(sample, next(iter(group.values())), inspection.capture.extent)), None)
         if own is None:
             groups.append(own := {})
         own[view] = sample

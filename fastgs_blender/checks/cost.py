@@ -12,12 +12,12 @@ from ..training.core import costs
 from ..training.core.presets import LENGTHS
 from ..util.errors import FastGSError
 from .report import Section
-from .samples import Looked
+from .samples import Inspection
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """Bytes of the cache of decoded pictures against what is free, and the presets' time and memory on this machine's processor."""
-    capture = looked.capture
+    capture = inspection.capture
     section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
                                        "without a GPU, roughly.")
     size, pixels, moment = 0, 0, 0

@@ -5,7 +5,7 @@ import numpy as np
 from . import drawing
 from .drawing import INK, SOFT, text
 from .report import Picture, Section, listed
-from .samples import Looked, thumbnail
+from .samples import Inspection, thumbnail
 from .space import Space, space_of
 
 ENOUGH = 3
@@ -16,24 +16,24 @@ LEVELS, GRID = 5, 72
 MOST_PICTURES = 24
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """Count cameras in a ground plan and over each camera's picture, without occlusion, which is not known."""
     section = Section("Coverage", "How many training cameras have a place in their pictures; what hides it from them is not known. Depth "
                                   f"comes from at least two views, and {ENOUGH} make it sure.")
-    if not looked.capture.posed:
+    if not inspection.capture.posed:
         section.summary = "The capture does not say where its cameras are, so that what they see in common is not known yet."
         return section
-    if not looked.training:
+    if not inspection.training:
         return section
-    space = space_of(looked)
-    counts = {view: space.counts(view) for view in looked.views}
+    space = space_of(inspection)
+    counts = {view: space.counts(view) for view in inspection.views}
     few = {view: float((count < ENOUGH).mean()) for view, count in counts.items()}
-    alone = {view: float((counts[view] < 2).mean()) for view in looked.training}
-    if len(looked.training) >= ENOUGH:
-        lonely = [view for view in looked.training if few[view] > MUCH]
+    alone = {view: float((counts[view] < 2).mean()) for view in inspection.training}
+    if len(inspection.training) >= ENOUGH:
+        lonely = [view for view in inspection.training if few[view] > MUCH]
         worst = sorted(lonely, key=lambda view: -few[view])
         if worst:
-            mean = float(np.mean([few[view] for view in looked.training]))
+            mean = float(np.mean([few[view] for view in inspection.training]))
             section.add("poor", f"{few[worst[0]]:.0%} of the picture of {worst[0]} is seen by fewer than {ENOUGH} cameras, {mean:.0%} over "
                                 "all cameras: what is there will be smeared when it is looked at from "
                                 f"elsewhere{f' (also {listed(worst[1:], 3)})' if worst[1:] else ''}.",
@@ -42,11 +42,11 @@ def run(looked: Looked) -> Section:
     section.pictures.append(Picture("What the colours mean: training cameras that see a place.", drawing.key_of_counts(), wide=True))
     section.pictures.append(Picture(f"The scene from above: how many cameras see each place between the floor and the top of "
                                     f"{'what was matched' if space.known else 'where they look'}"
-                                    ", the cameras and where they look.", plan(space, looked), wide=True))
-    held = set(looked.capture.held_out_views)
-    shown = sorted(looked.views, key=lambda view: (view not in held, -few[view]))[:MOST_PICTURES]
+                                    ", the cameras and where they look.", plan(space, inspection), wide=True))
+    held = set(inspection.capture.held_out_views)
+    shown = sorted(inspection.views, key=lambda view: (view not in held, -few[view]))[:MOST_PICTURES]
     for view in shown:
-        samples = looked.samples[view]
+        samples = inspection.samples[view]
         role = "held out: " if view in held else ""
         section.pictures.append(Picture(f"{view} ({role}{few[view]:.0%} seen by fewer than {ENOUGH})",
                                         pixels=drawing.counts_over(thumbnail(samples[len(samples) // 2].rgb), counts[view])))
@@ -56,7 +56,7 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def plan(space: Space, looked: Looked) -> str:
+def plan(space: Space, inspection: Inspection) -> str:
     """The scene from above as SVG."""
     centres = space.planned(np.array([camera.centre for camera in space.cameras.values()]))
     low, high = space.box
@@ -95,7 +95,7 @@ def plan(space: Space, looked: Looked) -> str:
         toward = toward / max(length, 1e-9)
         half = np.arctan(camera.width / 2 / camera.fx)
         wedge = [place + 34 * (np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ toward) for t in (-half, half)]
-        held = view in looked.capture.held_out_views
+        held = view in inspection.capture.held_out_views
         colour = "#7a3fb0" if held else "#1d4f91"
         if length > 0.2:
             corners = " ".join(f"{a:.1f},{b:.1f}" for a, b in (place, *wedge))

@@ -11,7 +11,7 @@ from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches
 from .report import Section, listed
-from .samples import Looked, Sample
+from .samples import Inspection, Sample
 
 UNEVEN, UNEVEN_WHOLE, TINT = 0.1, 0.35, 0.1
 """Share by which a camera may be brighter than others: by what they see in common, by whole pictures; and its channels by each other."""
@@ -24,15 +24,15 @@ REACH = 4
 GAMMA = 2.2
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """Brightness and tint of each camera against the others, its darkness and burnt parts, and its changes over time."""
     section = Section("Exposure", "How bright each camera is against the others, by the colours of features that they see in common; where "
                       "too few are, by the means of whole pictures.")
-    gains, whole = brightness(looked)
+    gains, whole = brightness(inspection)
     even = {view: float(np.exp(np.mean(gain[0]))) for view, gain in gains.items()}
     _uneven(section, even, gains, whole)
-    _dark(section, looked)
-    _changing(section, looked)
+    _dark(section, inspection)
+    _changing(section, inspection)
     told = {view: "poor" for finding in section.findings for view in finding.views}
     section.pictures.insert(0, drawing.bars("Brightness of each camera; 1 is the median of all.", even, "", told, (1.0, "1"), "x {:.2f}"))
     section.columns = {"Brightness": {view: f"x {value:.2f}" + (" (unsure)" if view in whole else f" ± {gains[view][1].mean():.2f}")
@@ -43,15 +43,16 @@ def run(looked: Looked) -> Section:
     return section
 
 
-def brightness(looked: Looked) -> tuple[dict[str, np.ndarray], set[str]]:
+def brightness(inspection: Inspection) -> tuple[dict[str, np.ndarray], set[str]]:
     """Logarithm of each camera's channels against the median camera, and its standard deviation [2, 3]; and the cameras of which matched
     features tell nothing: theirs are of whole pictures."""
     means = {view: np.log(np.maximum(np.median([_mean(sample) for sample in samples], 0), 1e-3))
-             for view, samples in looked.samples.items()}
+             for view, samples in inspection.samples.items()}
     middle = np.median(list(means.values()), 0)
     gains = {view: np.stack([value - middle, np.zeros(3)]) for view, value in means.items()}
     with suppress(FastGSError):  # without pycolmap
-        gains |= {view: gain for view, gain in zip(looked.views, gains_of(shared_colours(looked.matches, looked.views))) if gain[1].all()}
+        views = inspection.views
+        gains |= {view: gain for view, gain in zip(views, gains_of(shared_colours(inspection.matches, views))) if gain[1].all()}
     return gains, {view for view, gain in gains.items() if not gain[1].all()}
 
 
@@ -113,9 +114,9 @@ def _farthest(gains: Iterable[float]) -> float:
     return round(float(max(gains, key=lambda gain: abs(float(np.log(gain))))), 3)
 
 
-def _dark(section: Section, looked: Looked) -> None:
+def _dark(section: Section, inspection: Inspection) -> None:
     dark, burnt = {}, {}
-    for view, samples in looked.samples.items():
+    for view, samples in inspection.samples.items():
         light = [np.median(sample.rgb.mean(2)) / 255 for sample in samples]
         dark[view] = float(np.median(light))
         burnt[view] = float(np.mean([(sample.rgb.min(2) >= 255 * BURNT).mean() for sample in samples]))
@@ -131,10 +132,10 @@ def _dark(section: Section, looked: Looked) -> None:
                          "burnt_share": {v: round(x, 4) for v, x in burnt.items()}}
 
 
-def _changing(section: Section, looked: Looked) -> None:
+def _changing(section: Section, inspection: Inspection) -> None:
     """Brightness over time of what stands still: the median over the pixels of each picture's ratio to the median picture."""
     curves = {}
-    for view, samples in looked.samples.items():
+    for view, samples in inspection.samples.items():
         shapes = {sample.rgb.shape for sample in samples}
         moved = len({None if sample.camera is None else sample.camera.world_to_camera.tobytes() for sample in samples}) > 1
         if len(samples) < 3 or len(shapes) > 1 or moved:

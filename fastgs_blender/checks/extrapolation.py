@@ -5,7 +5,7 @@ import numpy as np
 from . import drawing
 from .coverage import ENOUGH
 from .report import Section, listed
-from .samples import Looked
+from .samples import Inspection
 from .space import Space, space_of
 
 FEW = 7
@@ -20,32 +20,32 @@ MOVING = 2
 """Number of different poses above which a camera counts as moving."""
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """Measure the angles between cameras, seen from what they film, and predict the quality of views between and beside them."""
     section = Section("View Extrapolation", "How far each view is from the nearest training camera, in degrees seen from what it films: "
                       f"up to {APART:.0f} a model holds, beyond {FAR:.0f} it has to guess.")
-    capture = looked.capture
-    if not capture.posed or not looked.training:
+    capture = inspection.capture
+    if not capture.posed or not inspection.training:
         section.summary = "Without poses nothing can be said about views between the cameras yet."
         return section
     poses = {shot.camera.world_to_camera.tobytes() for shot in capture.training if shot.camera is not None}
-    if len(poses) > MOVING * len(looked.training):
+    if len(poses) > MOVING * len(inspection.training):
         section.summary = "The cameras move; views along their way will be good, others were not judged."
         return section
-    space = space_of(looked)
+    space = space_of(inspection)
     count = len(capture.training_views)
     if count < 2:
         section.add("wrong", "There is one training camera: nothing says how far away anything is.", "Film with more cameras, or hold "
                                                                                                      "out fewer.")
         return section
-    nearest = {view: space.nearest(view) for view in looked.views}
+    nearest = {view: space.nearest(view) for view in inspection.views}
     for view in capture.held_out_views:
         if view in nearest:
             _held_out(section, space, view, nearest[view], count)
-    gaps = {view: nearest[view][1] for view in looked.training}
+    gaps = {view: nearest[view][1] for view in inspection.training}
     if count < FEW:
-        _few(section, space, looked.training)
-    widest = max(space.angle(a, b) for a in looked.training for b in looked.training)
+        _few(section, space, inspection.training)
+    widest = max(space.angle(a, b) for a in inspection.training for b in inspection.training)
     if widest < NARROW:
         section.add("poor", f"All cameras stand within {widest:.1f} degrees, seen from the scene: depth is uncertain, and views beside "
                             "them will be distorted.", "Spread the cameras; 20 degrees from one to the next are "

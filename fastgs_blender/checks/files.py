@@ -2,15 +2,15 @@
 """Checks the files of a capture: missing or unreadable files, wrong sizes, different frame rates."""
 from ..captures.pixels.checks import problems
 from .report import Section
-from .samples import Looked
+from .samples import Inspection
 
 MOST = 12
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """What `fastgs train` would refuse the capture for, and remarks on how it was read."""
-    capture = looked.capture
-    found = list(dict.fromkeys([*problems(capture), *looked.unreadable]))
+    capture = inspection.capture
+    found = list(dict.fromkeys([*problems(capture), *inspection.unreadable]))
     section = Section("Files", f"{len(capture)} pictures of {len(capture.views)} cameras over {capture.clip.frame_count} frames; the "
                       "headers of all files were read.")
     for problem in found[:MOST]:

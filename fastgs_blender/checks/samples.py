@@ -43,7 +43,7 @@ class Sample:
 
 
 @dataclass(eq=False)
-class Looked:
+class Inspection:
     """A capture and its sampled pictures; checks ask it for pictures and matches.
 
     progress(stage, share) is called while something takes long, share in 0..1
@@ -96,9 +96,9 @@ def thumbnail(rgb: np.ndarray) -> np.ndarray:
     return (smaller(rgb, reduction) + 0.5).astype(np.uint8) if reduction > 1 else rgb
 
 
-def look(looked: Looked) -> None:
+def sample(inspection: Inspection) -> None:
     """Decode the sampled pictures; those that cannot be decoded are listed in `unreadable`."""
-    capture = looked.capture
+    capture = inspection.capture
     shots, kept = by_view(capture.shots), set(capture.held_out_views)
     views = spread([view for view in shots if view not in kept], MOST_VIEWS)
     views = [view for view in shots if view in views or (view in kept and len(kept) <= MOST_VIEWS // 4)]
@@ -110,17 +110,18 @@ def look(looked: Looked) -> None:
     moments = int(np.clip(MOST_PIXELS // max(pixels * len(views), 1), 2, MOMENTS))
     frames = spread(sorted({shot.frame for shot in capture.shots}), moments)
     chosen = [shot for view in views for shot in _near(shots[view], frames)]
-    looked.samples = {view: [] for view in views}
+    inspection.samples = {view: [] for view in views}
     for done, (shot, found) in enumerate(decoding.decode([replace(shot, mask=None) for shot in chosen], capture.scale), 1):
-        looked.progress("reading pictures", done / len(chosen))
+        inspection.progress("reading pictures", done / len(chosen))
         if isinstance(found, FastGSError):
-            looked.unreadable.append(str(found))
+            inspection.unreadable.append(str(found))
         else:
-            looked.samples[shot.view].append(_sample(shot, found))
-    looked.samples = {view: sorted(samples, key=lambda sample: sample.shot.frame) for view, samples in looked.samples.items() if samples}
-    if not looked.samples:
+            inspection.samples[shot.view].append(_sample(shot, found))
+    inspection.samples = {view: sorted(samples, key=lambda sample: sample.shot.frame)
+                          for view, samples in inspection.samples.items() if samples}
+    if not inspection.samples:
         raise FastGSError(f"{capture.path}: none of its pictures can be read: "
-                          f"{looked.unreadable[0] if looked.unreadable else 'none is there.'}")
+                          f"{inspection.unreadable[0] if inspection.unreadable else 'none is there.'}")
 
 
 def reduction_of(height: int, width: int) -> int:

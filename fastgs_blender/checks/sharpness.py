@@ -6,15 +6,15 @@ import numpy as np
 
 from . import drawing
 from .report import Section, listed, rounded
-from .samples import Looked
+from .samples import Inspection
 
 SOFTER, SOFT = 0.9, 1.6
 """Pixels of blur more than the other cameras above which a camera is reported; pixels of blur above which all cameras are."""
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """The blur of each camera against the others'."""
-    blur = {view: _middle([sample.blur for sample in samples]) for view, samples in looked.samples.items()}
+    blur = {view: _middle([sample.blur for sample in samples]) for view, samples in inspection.samples.items()}
     known = np.array([value for value in blur.values() if np.isfinite(value)])
     usual = float(np.median(known)) if len(known) else np.nan
     section = Section("Sharpness", "How many pixels of blur each camera has, from the contrast of fine details against that of coarse ones "

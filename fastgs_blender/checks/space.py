@@ -8,7 +8,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..training.initial.dense import depth_range
 from ..util.errors import FastGSError
-from .samples import Looked
+from .samples import Inspection
 
 LEAST_POINTS = 40
 CELLS = 32
@@ -137,16 +137,16 @@ class Space:
         return plan @ np.array(PLAN[self.axes], float)
 
 
-def space_of(looked: Looked) -> Space:
+def space_of(inspection: Inspection) -> Space:
     """The space of a capture with poses; points are of features on which cameras agree (without those that are off), or the layout's."""
-    capture = looked.capture
-    middle = {view: samples[len(samples) // 2].shot.camera for view, samples in looked.samples.items()}
+    capture = inspection.capture
+    middle = {view: samples[len(samples) // 2].shot.camera for view, samples in inspection.samples.items()}
     cameras = {view: camera for view, camera in middle.items() if camera is not None}
     try:
-        points = looked.matches.good_points(looked.judged.wrong)
+        points = inspection.matches.good_points(inspection.judged.wrong)
     except FastGSError:  # without pycolmap
         points = np.zeros((0, 3))
     if len(points) < LEAST_POINTS and capture.points is not None:
         step = max(1, len(capture.points) // 4000)
         points = np.asarray(capture.points.xyz[::step], np.float64)
-    return Space(cameras, looked.training, points, capture.focus, depth_range(capture), capture.axes if capture.axes in PLAN else "RDF")
+    return Space(cameras, inspection.training, points, capture.focus, depth_range(capture), capture.axes if capture.axes in PLAN else "RDF")

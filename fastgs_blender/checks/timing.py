@@ -6,16 +6,16 @@ from ..captures.evidence import differs
 from ..util.errors import FastGSError
 from . import drawing
 from .report import Section, listed
-from .samples import Looked
+from .samples import Inspection
 
 FRAMES = 96
 """Frames that are looked at, from the middle of the clip: enough for shifts of half of them."""
 LEAST_FRAMES = 16
 
 
-def run(looked: Looked) -> Section:
+def run(inspection: Inspection) -> Section:
     """The offset of each camera's clock, by sound, a flash or motion (captures.clocks)."""
-    capture = looked.capture
+    capture = inspection.capture
     count = capture.clip.frame_count
     section = Section("Synchronisation", "How many frames each camera's clock is ahead of or behind the others', from sound, a flash, or "
                       f"how much moves in each frame{f'; the middle {FRAMES} frames were looked at' if count > FRAMES else ''}.")
@@ -23,7 +23,7 @@ def run(looked: Looked) -> Section:
         section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
         return section
     try:
-        found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: looked.progress("comparing clocks", done / max(of, 1)))
+        found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: inspection.progress("comparing clocks", done / max(of, 1)))
     except FastGSError as error:
         reason = str(error).partition(": ")[2] or str(error)
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs sync "

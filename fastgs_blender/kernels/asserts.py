@@ -80,9 +80,9 @@ def steps_since(moved: Any) -> None:
     shapes((moved, "n"))
 
 
-def motion_penalty(norm: Any, motion: Any, gradient: Any, waits: Any) -> None:
+def motion_penalty(norm: Any, motion: Any, gradient: Any, since: Any) -> None:
     """TrainingBackend.motion_penalty()."""
-    shapes((motion, "n k 3"), (gradient, "n k 3"), (waits, "n"), (norm.matrix, "r k"))
+    shapes((motion, "n k 3"), (gradient, "n k 3"), (since, "n"), (norm.matrix, "r k"))
     rows = motion.shape[1] if norm.matrix is None else len(norm.matrix)
     shapes((norm.weights, str(3 * rows)))
 

@@ -260,8 +260,8 @@ class TrainingBackend(PictureBackend, Protocol):
         moved  [N] int64, the step in which each Gaussian moved last
         """
 
-    def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
-        """The penalty of motion [N, K, 3], [1] float64; scale * waits[n] * its gradient is added to gradient [N, K, 3]."""
+    def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, since: Array) -> Array:
+        """The penalty of motion [N, K, 3], [1] float64; scale * since[n] * its gradient is added to gradient [N, K, 3]."""
 
     def anchor(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
         """Add strength * (features [N, F] - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN

@@ -20,35 +20,35 @@ GATE, SHARPNESS, NEGLIGIBLE = 0.995, 100.0, 1e-4
 """MCMC's noise (Kheradmand et al. 2024): Gaussians more transparent than GATE are moved; the edge's sharpness; the share from which on."""
 
 
-def motion_penalty(norm: MotionNorm, motion: np.ndarray, gradient: np.ndarray, scale: float, waits: np.ndarray) -> np.ndarray:
+def motion_penalty(norm: MotionNorm, motion: np.ndarray, gradient: np.ndarray, scale: float, since: np.ndarray) -> np.ndarray:
     """TrainingBackend.motion_penalty()."""
-    asserts.motion_penalty(norm, motion, gradient, waits)
+    asserts.motion_penalty(norm, motion, gradient, since)
     n = len(motion)
     if not n or not norm.weights.any():
         return np.zeros(1)
     if norm.matrix is None:
-        return np.array([_norms(norm, motion.reshape(n, -1), gradient.reshape(n, -1), scale, waits)])
+        return np.array([_norms(norm, motion.reshape(n, -1), gradient.reshape(n, -1), scale, since)])
     matrix = norm.matrix.astype(np.float32)
     rows = np.ascontiguousarray(np.einsum("rk,nkd->nrd", matrix, motion)).reshape(n, -1)
     part = np.zeros_like(rows)
-    value = _norms(norm, rows, part, scale, waits)
+    value = _norms(norm, rows, part, scale, since)
     gradient += np.einsum("rk,nrd->nkd", matrix, part.reshape(n, -1, 3))
     return np.array([value])
 
 
-def _norms(norm: MotionNorm, values, gradient, scale, waits) -> float:
-    """The penalty of values [N, 3 R]; scale * waits * its gradient is added to gradient [N, 3 R]."""
+def _norms(norm: MotionNorm, values, gradient, scale, since) -> float:
+    """The penalty of values [N, 3 R]; scale * since * its gradient is added to gradient [N, 3 R]."""
     n, columns = values.shape
     pieces = [(sums, *piece) for sums, piece in zip(np.zeros((-(-n // ROWS), columns)), ranges(n, ROWS))]
     share, smooth = norm.weights / (n * norm.extent), norm.smooth * norm.extent
     if norm.reading == "mean":
         factor = (scale * share).astype(np.float32)
-        run(lambda sums, a, b: penalty.magnitudes(a, b, values, smooth, factor, waits, gradient, sums), pieces)
+        run(lambda sums, a, b: penalty.magnitudes(a, b, values, smooth, factor, since, gradient, sums), pieces)
         return float(np.sum([sums for sums, _, _ in pieces], 0) @ share)
     run(lambda sums, a, b: penalty.squares(a, b, values, sums), pieces)
     size = np.sqrt(np.sum([sums for sums, _, _ in pieces], 0) / n + smooth**2)
     factor = (scale * share / size).astype(np.float32)
-    run(lambda sums, a, b: penalty.scaled(a, b, values, factor, waits, gradient), pieces)
+    run(lambda sums, a, b: penalty.scaled(a, b, values, factor, since, gradient), pieces)
     return float((size - smooth) @ norm.weights / norm.extent)
 
 

@@ -20,9 +20,9 @@ AHEAD = 8
 """Steps that a GPU may have before it when the values of the first are asked for: by then they are there."""
 
 
-def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Array, scale: float, waits: Array) -> Array:
+def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Array, scale: float, since: Array) -> Array:
     """TrainingBackend.motion_penalty()."""
-    asserts.motion_penalty(norm, motion, gradient, waits)
+    asserts.motion_penalty(norm, motion, gradient, since)
     n, terms = motion.shape[:2]
     if not n or not norm.weights.any():
         return device.zeros((1,), np.float64)
@@ -42,8 +42,8 @@ def motion_penalty(device: Device, norm: MotionNorm, motion: Array, gradient: Ar
                 found = device.empty((some.shape[0], 3 * rows))
                 device.run("penalty_squares", some.shape[0] * rows, job(some), some, table, found)
                 device.run("add", 3 * rows, [[3 * rows, 0, 0, 0]], total(device, found), squares)
-    for _, (part, slopes, waited, out) in pieces(motion, gradient, waits, values):
-        device.run("penalty", part.shape[0], job(part), part, waited, table, squares, slopes, out, GROUP=group)
+    for _, (part, slopes, ago, out) in pieces(motion, gradient, since, values):
+        device.run("penalty", part.shape[0], job(part), part, ago, table, squares, slopes, out, GROUP=group)
     return Array(total(device, values).buffer, (1,), np.dtype(np.float64))
 
 

@@ -19,7 +19,7 @@ from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import CHECKS, blur, check, page, timing
 from fastgs_blender.checks.extrapolation import _few
 from fastgs_blender.checks.report import Section
-from fastgs_blender.checks.samples import Looked
+from fastgs_blender.checks.samples import Inspection
 from fastgs_blender.checks.space import Space
 from fastgs_blender.util import rotations
 from fastgs_blender.util.errors import FastGSError
@@ -137,11 +137,11 @@ def test_cameras_that_agree_far_away_are_apart_for_what_is_near():
 
 def test_clocks_that_differ_are_found(tmp_path):
     late = write_uneven(tmp_path / "late", 48, 5, {"cam02": 3.0}, speed=1.5)
-    section = timing.run(Looked(open_capture(late)))
+    section = timing.run(Inspection(open_capture(late)))
     assert [finding.views for finding in section.findings if finding.severity == "wrong"] == [("cam02",)]
     assert abs(section.measures["offsets_frames"]["cam02"] - 3) < 0.3
     (late / "sync.json").write_text(json.dumps({"format": "fast-gs sync", "version": 1, "offsets": {"cam02": 3.0}}))
-    section = timing.run(Looked(open_capture(late)))
+    section = timing.run(Inspection(open_capture(late)))
     assert not section.findings, "what training knows already is no fault"
 
 
@@ -149,7 +149,7 @@ def test_clocks_without_poses_are_unsure(tmp_path):
     """Curves of motion are right to a frame: what they say of equal clocks is no figure."""
     made = write_uneven(tmp_path / "made", 48, 5, speed=1.5)
     (made / "cameras.json").unlink()
-    section = timing.run(Looked(open_capture(made)))
+    section = timing.run(Inspection(open_capture(made)))
     assert set(section.columns["Clock"].values()) == {"unsure"} and {finding.severity for finding in section.findings} == {"note"}
 
 

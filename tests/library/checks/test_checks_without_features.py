@@ -14,18 +14,18 @@ from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import calibration, cost, exposure
 from fastgs_blender.checks.matching import Matches, Pair
 from fastgs_blender.checks.reprojection import Judged
-from fastgs_blender.checks.samples import Looked, look
+from fastgs_blender.checks.samples import Inspection, sample
 from fastgs_blender.training.initial.features import Features
 
 VIEWS = ("cam00", "cam01", "cam02")
 
 
 @pytest.fixture
-def looked(tmp_path):
+def inspection(tmp_path):
     """looked(capture, matches): the samples of a capture of the room, with these matches, and the same misses for all cameras."""
     def of(path, matches=None):
-        found = Looked(open_capture(path))
-        look(found)
+        found = Inspection(open_capture(path))
+        sample(found)
         found.__dict__["matches"] = matches or Matches({}, {}, [], 3)
         found.__dict__["judged"] = Judged(dict.fromkeys(VIEWS, 0.4), [])
         return found
@@ -37,7 +37,7 @@ def told(section):
     return {view: finding.sentence for finding in section.findings for view in finding.views}
 
 
-def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
+def test_odd_lenses_and_empty_borders_are_named(tmp_path, inspection):
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     values = json.loads((path / "cameras.json").read_text("utf-8"))
     zero, one, two = values["cameras"]
@@ -47,13 +47,13 @@ def test_odd_lenses_and_empty_borders_are_named(tmp_path, looked):
     two["fy"] *= 1.02
     two["cx"] += 20
     (path / "cameras.json").write_text(json.dumps(values), "utf-8")
-    found = told(calibration.run(looked(path)))
+    found = told(calibration.run(inspection(path)))
     assert found.keys() == {"cam00", "cam01"}, "a few per cent are usual"
     assert all(part in found["cam00"] for part in ("focal lengths", "300 and 360 pixels", "optical axis", "19%"))
     assert "lens of cam01" in found["cam01"]
 
 
-def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path, looked):
+def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path, inspection):
     """As where a calibration was copied by hand; one camera whose film is there twice, zoomed and darker, is none."""
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     values = json.loads((path / "cameras.json").read_text("utf-8"))
@@ -64,14 +64,14 @@ def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path,
         shown.crop((40, 30, 280, 210)).resize((320, 240)).point(lambda v: 0.8 * v).save(path / "cam02" / file.name)
     two["fx"], two["fy"] = zero["fx"] * 4 / 3, zero["fy"] * 4 / 3
     (path / "cameras.json").write_text(json.dumps(values), "utf-8")
-    assert not [finding for finding in calibration.run(looked(path)).findings if finding.severity == "wrong"]
+    assert not [finding for finding in calibration.run(inspection(path)).findings if finding.severity == "wrong"]
     one["world_to_camera"] = zero["world_to_camera"]
     (path / "cameras.json").write_text(json.dumps(values), "utf-8")
-    (finding,) = (finding for finding in calibration.run(looked(path)).findings if finding.severity == "wrong")
+    (finding,) = (finding for finding in calibration.run(inspection(path)).findings if finding.severity == "wrong")
     assert finding.views == VIEWS and "calibration is wrong" in finding.sentence and "same pose" in finding.sentence
 
 
-def test_transparent_pixels_are_no_fault_of_the_lens(tmp_path, looked):
+def test_transparent_pixels_are_no_fault_of_the_lens(tmp_path, inspection):
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     values = json.loads((path / "cameras.json").read_text("utf-8"))
     values["cameras"][1]["distortion"] = {"model": "opencv", "k1": 0.01}
@@ -80,7 +80,7 @@ def test_transparent_pixels_are_no_fault_of_the_lens(tmp_path, looked):
         picture = Image.open(file).convert("RGBA")
         picture.paste((0, 0, 0, 0), (0, 0, picture.width, picture.height // 2))
         picture.save(file)
-    of = looked(path)
+    of = inspection(path)
     assert not of.samples["cam01"][0].valid[:100].any()
     assert "cam01" not in told(calibration.run(of))
 
@@ -97,22 +97,22 @@ def made_up(path, distance, features=60):
     return each, [Pair(0, a, b, rows, (distance(a, radius) + distance(b, radius)) / 2) for a, b in itertools.pairwise(VIEWS)]
 
 
-def test_a_lens_that_bends_more_than_its_calibration_is_seen_near_the_borders(tmp_path, looked):
+def test_a_lens_that_bends_more_than_its_calibration_is_seen_near_the_borders(tmp_path, inspection):
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     for wrong, views in ((20.0, {"cam02"}), (0.0, set())):
         each, pairs = made_up(path, lambda view, radius, wrong=wrong: 0.3 + (wrong * radius**4 if view == "cam02" else 0 * radius))
         with pytest.MonkeyPatch.context() as patch:
             patch.setattr(Matches, "good_points", lambda self, bad: np.zeros((0, 3)))
-            section = calibration.run(looked(path, Matches(each, {}, pairs, 2)))
+            section = calibration.run(inspection(path, Matches(each, {}, pairs, 2)))
         assert views <= set(told(section)) and "cam00" not in told(section)
         assert all("lens" in told(section)[view] and "calibration" in told(section)[view] for view in views)
 
 
-def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
+def test_another_white_balance_is_named_by_its_channel(tmp_path, inspection):
     yellow = {1: lambda image, frame: image * (1, 1, 0.78)}
     path = write_room(tmp_path / "made", 3, 2, spread=0.0, change=yellow, detail=1)
     each, pairs = made_up(path, lambda view, radius: 0 * radius)
-    found = looked(path)
+    found = inspection(path)
     found.__dict__["matches"] = Matches(each, {(0, view): found.samples[view][0] for view in VIEWS}, pairs, 2)
     section = exposure.run(found)
     (sentence,) = {finding.sentence for finding in section.findings}
@@ -123,7 +123,7 @@ def test_another_white_balance_is_named_by_its_channel(tmp_path, looked):
 @pytest.mark.parametrize(("free", "most", "memory", "words"), [
     (1e12, "", 1e12, ""), (1e6, "", 1e12, "The cache of decoded pictures needs"), (1e12, "0.0001", 1e12, "All decoded pictures need"),
     (1e12, "", 1e6, "Training with the preset standard takes about"), (None, "", None, "")])
-def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looked, free, most, memory, words):
+def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, inspection, free, most, memory, words):
     monkeypatch.setenv("FASTGS_CACHE_GB", most)
     path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
 
@@ -134,7 +134,7 @@ def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, looke
 
     monkeypatch.setattr(cost.checks, "free_bytes", free_bytes)
     monkeypatch.setattr(cost.checks, "available_memory", lambda: memory)
-    section = cost.run(looked(path))
+    section = cost.run(inspection(path))
     assert [finding.sentence[:len(words)] for finding in section.findings] == ([words] if words else [])
     assert section.measures["cache_gb"] == pytest.approx(3 * 2 * 320 * 240 * 3 / 1e9, abs=6e-5)
     assert set(section.measures["presets"]) == {"draft", "standard", "final"} and "Cache: 0.00 GB" in section.summary

@@ -11,7 +11,7 @@ struct Job {
 
 @group(0) @binding(0) var<uniform> job: Job;
 @group(0) @binding(1) var<storage, read> motion: array<f32>;
-@group(0) @binding(2) var<storage, read> waits: array<f32>;
+@group(0) @binding(2) var<storage, read> since: array<f32>;
 @group(0) @binding(3) var<storage, read> table: array<f32>;
 @group(0) @binding(4) var<storage, read> squares: array<f32>; // with GROUP: the sums of penalty_squares.wgsl
 @group(0) @binding(5) var<storage, read_write> gradient: array<f32>;
@@ -37,7 +37,7 @@ fn thread(n: u32) {
                 total += weight * bent * (row[i] - 0.5 * job.norm.x * bent);
             }
         }
-        slope *= job.norm.y * waits[n];
+        slope *= job.norm.y * since[n];
         if job.size.w == 0u {
             add(3u * (n * job.size.y + r), slope);
         } else {

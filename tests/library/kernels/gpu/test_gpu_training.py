@@ -69,7 +69,7 @@ def test_gradients_of_premultiplied_sums_are_the_cpus(gpu, rng):
 
 @pytest.mark.parametrize("reading", ["mean", "group"])
 def test_steps_are_the_cpus(gpu, rng, reading):
-    """Penalty, hold, MCMC's weights, waits, count and Adam, on random numbers."""
+    """Penalty, hold, MCMC's weights, since, count and Adam, on random numbers."""
     n, terms = 300, 5
     cpu = load_backend("cpu")
     matrix = rng.normal(size=(4, terms)) if reading == "mean" else None
@@ -85,9 +85,9 @@ def test_steps_are_the_cpus(gpu, rng, reading):
     for backend in (cpu, gpu):
         a = {name: backend.array(array.copy()) for name, array in draw.items()}
         moved, rows = backend.array(np.arange(n) % 7), backend.rows(backend.array(seen.copy()))
-        waits = backend.steps_since(rows, moved, 9)
-        out = {"waits": waits, "count": backend.count(rows)}
-        out["penalty"] = backend.motion_penalty(norm, a["motion"], a["by motion"], 0.3, waits)
+        since = backend.steps_since(rows, moved, 9)
+        out = {"since": since, "count": backend.count(rows)}
+        out["penalty"] = backend.motion_penalty(norm, a["motion"], a["by motion"], 0.3, since)
         backend.anchor(a["features"], backend.array(held.copy()), a["by features"], rows, 0.2)
         backend.mcmc_penalty(a, {"opacity": a["by opacity"], "scale": a["by scale"]}, 0.1, 0.2, 2.0)
         tensors = []
