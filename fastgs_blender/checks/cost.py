@@ -10,6 +10,8 @@ from ..captures.pixels.store import RESERVE
 from ..jobs import checks
 from ..training.core import costs
 from ..training.core.presets import LENGTHS
+from ..training.core.settings import Settings
+from ..training.run.segments import spans
 from ..util.errors import FastGSError
 from .report import Section
 from .samples import Inspection
@@ -29,6 +31,8 @@ def run(inspection: Inspection) -> Section:
         size += height * width * channels * len(shots)
         pixels = max(pixels, height * width)
         moment += height * width * (not shots[0].held_out)
+    cut = spans(capture.clip.frame_count, Settings.segment_frames, Settings.segment_overlap)[0]
+    size = size * cut.count // capture.clip.frame_count  # a long capture is decoded segment by segment
     free, most = None, most_bytes()
     with suppress(OSError):
         free = checks.free_bytes(default_folder(capture))

@@ -5,6 +5,7 @@ from dataclasses import dataclass
 
 from ..captures.capture import Capture
 from ..model.gaussians import GaussianModel
+from ..model.sequence import Source
 from ..util.reading import parse_json
 
 KEY = "trained_on"
@@ -39,7 +40,7 @@ MOST = 1e6
 """The largest number that an entry may hold."""
 
 
-def corrections(model: GaussianModel) -> dict:
+def corrections(model: Source) -> dict:
     """What was taken out of the training pictures of a model; empty where nothing was, or the model does not say it understandably."""
     try:
         facts = parse_json(model.provenance[CORRECTIONS])

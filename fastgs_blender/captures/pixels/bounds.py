@@ -1,8 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Keeps the cache of decoded frames small: at most $FASTGS_CACHE_GB for all captures together.
 
-Where a capture needs room, caches of other captures are removed, the longest unused first, but none that was opened within a day: its
-training may still run.  Shots for which there is no room are decoded whenever they are needed.
+Where a capture needs room, what was not used for longest is removed: other frames of its own, such as those of the segment of a long
+clip that was trained before, and caches of other captures, but none that was opened within a day: its training may still run.  Shots for
+which there is no room are decoded whenever they are needed.
 """
 import contextlib
 import os
@@ -41,18 +42,20 @@ def remove_unused(own: Path) -> None:
             shutil.rmtree(other, ignore_errors=True)
 
 
-def room(own: Path, need: int, names: set[str]) -> float:
-    """Bytes that a capture's cache, with files of these names, may still take, after others have been removed where it needs more.
+def room(own: Path, need: int, names: set[str], spare: set[str], reserve: int = 0) -> float:
+    """Bytes that a capture's cache may still take, after what is not used has been removed where it needs more.
 
-    Files of other names in its own folder are of other scales, or of pictures that have changed.
+    reserve      bytes that stay free on the disk
+    names, spare  files of its own that are wanted now, and those that are not; others are of other scales, or of changed pictures
     """
     old = [(opened, size, path) for opened, size, path in _files(own) if path.name not in names]
     old += [(opened, size_of(other), other) for opened, other in _others(own)]
     left = most_bytes() - size_of(own) - sum(size for _, size, path in old if path.parent != own)
+    lacking = need + reserve - shutil.disk_usage(own).free
     for opened, size, path in sorted(old):
-        if need > left and time.time() - opened > IN_USE:
+        if (need > left or lacking > 0) and (path.name in spare or time.time() - opened > IN_USE):
             _remove(path)
-            left += size
+            left, lacking = left + size, lacking - size
     return left
 
 
@@ -84,4 +87,5 @@ def _remove(path: Path) -> None:
     if path.is_dir():
         shutil.rmtree(path, ignore_errors=True)
     else:
-        path.unlink(missing_ok=True)
+        with contextlib.suppress(OSError):  # Windows: another process reads it
+            path.unlink(missing_ok=True)

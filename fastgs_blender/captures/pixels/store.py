@@ -109,9 +109,12 @@ class FrameStore:
             try:
                 if not self._is_there(shot):
                     todo.append(shot)
+                elif self._bounded:
+                    with contextlib.suppress(OSError):
+                        os.utime(self._path(shot))  # what was used last goes last
             except FastGSError as error:
                 faults.append(str(error))
-        todo = self._with_room(todo)
+        todo = self._with_room(todo, shots)
         self._check_space(todo)
         done = len(shots) - len(todo) - len(faults)
         report = progress or (lambda done, of: None)
@@ -175,9 +178,9 @@ class FrameStore:
             path = self._paths[shot] = self.folder / f"{framefiles.digest(shot, self.capture.scale)}.frame"
         return path
 
-    def _names(self) -> Iterator[str]:
-        """Names of the files of all shots whose pictures are there."""
-        for shot in self.capture.shots:
+    def _names(self, shots: Iterable[Shot]) -> Iterator[str]:
+        """Names of the files of those shots whose pictures are there."""
+        for shot in shots:
             with contextlib.suppress(FastGSError):
                 yield self._path(shot).name
 
@@ -197,17 +200,19 @@ class FrameStore:
         except OSError as error:
             raise self._cannot_write(error) from error
 
-    def _with_room(self, todo: list[Shot]) -> list[Shot]:
-        """Those shots that the bounded cache has room for; the others go to `beyond`.
+    def _with_room(self, todo: list[Shot], shots: list[Shot]) -> list[Shot]:
+        """Those shots that the bounded cache has room for, of all that are asked for; the others go to `beyond`.
 
         Frames of videos come first, because one of these alone takes long to decode; else the order is that of the digests, so that all
         processes keep the same ones, evenly spread.
         """
-        self.beyond.difference_update(todo)
+        self.beyond.clear()
         lengths = {shot: self._length(shot) for shot in todo}
         if not self._bounded or not todo:
             return todo
-        left = bounds.room(self.folder, sum(lengths.values()), set(self._names()))
+        names = set(self._names(shots))
+        left = bounds.room(self.folder, sum(lengths.values()), names, set(self._names(self.capture.shots)) - names,
+                           RESERVE)
         for shot in sorted(todo, key=lambda shot: (shot.image.frame is None, self._path(shot).name)):
             left -= lengths[shot]
             if left < 0:

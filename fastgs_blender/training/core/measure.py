@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measures a model on shots of its capture, quickly: for previews and the report of a run (evaluation/ has all measures)."""
-from collections.abc import Sequence
+from collections.abc import Iterable
 from typing import Any
 
 import numpy as np
@@ -8,19 +8,20 @@ import numpy as np
 from ...captures.capture import Capture, Shot
 from ...evaluation import halves
 from ...evaluation.metrics import psnr
-from ...model.gaussians import GaussianModel
+from ...model.sequence import Source
 from ...rendering.api import render
 from .settings import Settings
 from .targets import cover_of, use_of_mask
 
 
-def measure(model: GaussianModel, capture: Capture, store: Any, settings: Settings, shots: Sequence[Shot], backend: str = "cpu",
-            fit_colours: bool = False) -> tuple[float, float | None, list]:
-    """(mean PSNR of shots, that of their foreground where masks show it or None, [(picture, truth)] of each, over black).
+def measure(model: Source, capture: Capture, store: Any, settings: Settings, shots: Iterable[Shot], backend: str = "cpu",
+            fit_colours: bool = False, pictures: list | None = None) -> tuple[float, float | None]:
+    """(mean PSNR of shots, that of their foreground where masks show it or None), over black.
 
     fit_colours  colours of each half of a picture are fitted on its other half (evaluation/halves.py)
+    pictures     gets (picture, truth) of each
     """
-    whole, part, pictures = [], [], []
+    whole, part = [], []
     for shot in shots:
         assert shot.camera is not None
         pixels = store.pixels(shot)
@@ -31,6 +32,7 @@ def measure(model: GaussianModel, capture: Capture, store: Any, settings: Settin
         whole.append(psnr(picture, truth))
         if pixels.mask is not None:
             part.append(psnr(picture, truth, pixels.mask))
-        pictures.append((picture, truth))
+        if pictures is not None:
+            pictures.append((picture, truth))
     part = [value for value in part if np.isfinite(value)]
-    return float(np.mean(whole)), float(np.mean(part)) if part else None, pictures
+    return float(np.mean(whole)), float(np.mean(part)) if part else None

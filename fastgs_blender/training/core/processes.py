@@ -8,6 +8,7 @@ import json
 import os
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from datetime import timedelta
 from typing import Any
 
 import numpy as np
@@ -134,7 +135,8 @@ def joined() -> Iterator[Any]:
     try:
         if on_gpus:
             torch.cuda.set_device(local)
-        dist.init_process_group("nccl" if on_gpus else "gloo")
+        # others wait while the first decodes pictures and finds starting points, which may take far longer than torch's half hour
+        dist.init_process_group("nccl" if on_gpus else "gloo", timeout=timedelta(days=7))
     except (RuntimeError, ValueError) as error:
         raise FastGSError(f"the processes of this training could not find each other ({error}); start them with torchrun.") from error
     processes = Several(dist.get_rank(), dist.get_world_size(), f"cuda:{local}" if on_gpus else "cpu")

@@ -256,9 +256,10 @@ class Trainer:
         return replace(lasting(self.model(provenance | corrections_entry(self.cameras.facts()))), surroundings=around)
 
     def measure(self, shots: Sequence[Shot]) -> tuple[float, float | None, list]:
-        """measure() of the model as it is now."""
+        """measure() of the model as it is now, and [(picture, truth)] of each shot."""
+        pictures: list = []
         fit_colours = self.cameras.response.colours_differ
-        return measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name, fit_colours)
+        return *measure(self.model(), self.capture, self.store, self.settings, shots, self.backend_name, fit_colours, pictures), pictures
 
     def state(self) -> tuple[dict[str, np.ndarray], dict]:
         """All state on which the rest of the run depends: arrays, and JSON values."""

@@ -29,6 +29,7 @@ def _trainer(message: dict, processes: Several, device: str | None) -> Trainer:
     capture = plan.source.open()
     capture = refined(with_poses(capture, FrameStore(capture, MEMORY), message["out"]), message["cameras"])
     store, capture = FrameStore(capture, MEMORY), capture.part(*message["span"])
+    store.fill(shots=capture.shots)  # of another machine, whose cache nobody has filled
     backend = choose_device(device)[0]
     settings = plan.settings.of_segment(message["number"])
     trainer = Trainer(capture, store, settings, backend="cpu" if backend == "auto" else backend, processes=processes)

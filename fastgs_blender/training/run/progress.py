@@ -84,9 +84,9 @@ class Reporter:
 
     def fill(self, store: Any, shots: Sequence[Shot]) -> None:
         """Decode the pictures that are not in the cache yet, with a bar of their own."""
-        if missing := store.missing(shots):
+        if store.missing(shots):
             with self.stage("decoding", "picture") as report:
-                store.fill(report, missing)
+                store.fill(report, shots)
             if store.beyond:
                 self.warn(f"{len(store.beyond)} of {len(shots)} pictures find no room in the cache ({store.folder}) and are decoded each "
                           "time, which is slower; FASTGS_CACHE_GB says how many GB it may take.")

@@ -6,7 +6,7 @@ The finished model has the same bytes whether or not the run was interrupted.
 import contextlib
 import json
 import time
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -20,9 +20,8 @@ from ...captures.refined import refined
 from ...evaluation import training_record
 from ...formats.base import generator
 from ...kernels.protocol import DeviceError
-from ...model.cutting import chapters
+from ...model.chapters import Chapters
 from ...model.gaussians import GaussianModel
-from ...model.temporal import WindowedRadial
 from ...util.backends import describe_backend
 from ...util.errors import FastGSError
 from ...util.reading import read_json
@@ -40,7 +39,7 @@ from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MOD
 from .folder import release, take
 from .plan import Plan
 from .progress import Reporter
-from .segments import Span, joined_model, spans
+from .segments import Span, joined_clip, spans
 from .stopping import StopFlag, Stopped
 
 PREVIEW_SHOTS = 4
@@ -104,57 +103,65 @@ class _Session:
             self.cameras = refinement(capture, store, settings, self.out / REFINED, begun, reporter.say, report)["cameras"]
         given, capture = capture, refined(capture, self.cameras)
         store = store if capture is given else store.of(capture)
-        reporter.fill(store, capture.shots)
-        models: list[GaussianModel] = []
         for number, cut in enumerate(cuts):
             if len(cuts) > 1:
                 reporter.say(f"segment {number + 1} of {len(cuts)}: frames {cut.first} to {cut.first + cut.count - 1}")
-            models.append(self._segment(capture, store, cuts, number, models, backend))
-        corrections = training_record.corrections(models[0])  # exposures stay, and clocks run on
+            only = self._segment(capture, store, cuts, number, backend)
+        first = self._finished(0) if only is None else only
+        corrections = training_record.corrections(first)  # exposures stay, and clocks run on
         corrections |= {"cameras": self.cameras} if self.cameras else {}
         about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout,
                  "iterations": str(settings.iterations), "settings": json.dumps(settings.to_dict(), allow_nan=False),
                  **training_record.record(capture), **training_record.corrections_entry(corrections)}
-        model = models[0] if len(cuts) == 1 else joined_model(models, cuts, capture.clip, {})
-        return self._finish(replace(model, provenance=about), capture, store)
+        whole = joined_clip(self._finished, cuts, capture.clip, about) if only is None else replace(first, provenance=about)
+        return self._finish(whole, capture, store, cuts)
 
-    def _segment(self, capture: Capture, store: FrameStore, cuts: list[Span], number: int, before: list[GaussianModel],
-                 backend: str) -> GaussianModel:
-        """Train one segment, continue it, or load it if it is finished.  Where the device fails, the CPU goes on from the last checkpoint.
+    def _finished(self, number: int) -> GaussianModel:
+        """The model of a segment whose training has ended."""
+        return formats.load(segment_folder(self.out, number) / SEGMENT_MODEL)
 
-        before  the models of the segments before it: it shares the decoder of the first, which learns its own, and begins from the last
+    def _segment(self, capture: Capture, store: FrameStore, cuts: list[Span], number: int, backend: str) -> GaussianModel | None:
+        """Train one segment, or continue it, if it is not finished.  Where the device fails, the CPU goes on from the last checkpoint.
+
+        Returns the model of a capture that is one segment; others lie in their folders.
         """
         folder = self.out if len(cuts) == 1 else segment_folder(self.out, number)
         folder.mkdir(parents=True, exist_ok=True)
         if (folder / SEGMENT_MODEL).exists():
-            return formats.load(folder / SEGMENT_MODEL)
+            (folder / CHECKPOINT).unlink(missing_ok=True)
+            return None
         whole, capture = capture, capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
+        self.reporter.fill(store, capture.shots)
         earlier = whole.part(cuts[number - 1].first, cuts[number - 1].count) if number else None
         try:
-            model = self._trained(capture, store, cuts, folder, number, before, backend, earlier)
+            model = self._trained(capture, store, cuts, folder, number, backend, earlier)
         except DeviceError as error:
             if self.processes.count > 1:
                 raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
             self.reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
             self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
-            model = self._trained(capture, store, cuts, folder, number, before, "cpu", earlier)
+            model = self._trained(capture, store, cuts, folder, number, "cpu", earlier)
         if len(cuts) > 1:  # the model replaces the checkpoint
             model = settled(model, capture, store) if self.plan.settings.segment_steps else model
             checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
             written.write(model, folder / SEGMENT_MODEL)
             (folder / CHECKPOINT).unlink(missing_ok=True)
+            return None
         return model
 
-    def _trained(self, capture: Capture, store: FrameStore, cuts: list[Span], folder: Path, number: int, before: list[GaussianModel],
-                 backend: str, earlier: Capture | None) -> GaussianModel:
-        """_segment() on one backend, after the segment of the capture `earlier`; raises DeviceError."""
+    def _trained(self, capture: Capture, store: FrameStore, cuts: list[Span], folder: Path, number: int, backend: str,
+                 earlier: Capture | None) -> GaussianModel:
+        """_segment() on one backend, after the segment of the capture `earlier`; raises DeviceError.
+
+        It shares the decoder of the first segment, which learns its own, and begins from the one before.
+        """
         settings, found, span = self.plan.settings.of_segment(number), checkpoint.load(folder), cuts[number]
-        began, decoder = None, before[0] if before else None
+        began, decoder = None, self._finished(0) if number else None
         if found is None:
             with self.reporter.stage("finding starting points") as report:
                 if earlier is not None and settings.segment_steps:
                     at = (span.first - cuts[number - 1].first) / cuts[number - 1].count
-                    began = start_after(before[-1], earlier, at, capture, store, settings, self.reporter.say, report)
+                    began = start_after(self._finished(number - 1), earlier, at, capture, store, settings, self.reporter.say, report)
                 else:
                     began = start(capture, store, settings, self.reporter.say, report)
             began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
@@ -185,11 +192,10 @@ class _Session:
             raise Stopped(f"stopped after {trainer.iteration} of {settings.iterations} steps; --resume continues from there.")
         return trainer.final_model({})
 
-    def _finish(self, model: GaussianModel, capture: Capture, store: FrameStore) -> dict:
+    def _finish(self, model: GaussianModel | Chapters, capture: Capture, store: FrameStore, cuts: list[Span]) -> dict:
         """Write the model and measure it; returns the report."""
         out, settings, reporter = self.out, self.plan.settings, self.reporter
-        joined = isinstance(model.temporal_kind, WindowedRadial)
-        written.write(chapters(model) if joined else model, out / MODEL)
+        written.write(model, out / MODEL)
         report = {"model": str(out / MODEL), "gaussians": len(model), "iterations": settings.iterations, "extent": capture.extent,
                   "model_bytes": (out / MODEL).stat().st_size, "seconds": round(reporter.elapsed, 1), "peak_memory_bytes": peak_memory(),
                   "processes": self.processes.count, "device": reporter.device, "settings": settings.to_dict()}
@@ -200,11 +206,21 @@ class _Session:
         for text in at_limits(found):
             reporter.warn(text)
         if capture.held_out:
-            whole, foreground, _ = measure(model, capture, store, settings, capture.held_out, fit_colours="exposures" in found)
+            shown = model if isinstance(model, GaussianModel) else formats.open_source(out / MODEL)
+            whole, foreground = measure(shown, capture, store, settings, self._held_out(capture, store, cuts),
+                                        fit_colours="exposures" in found)
             report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
         checkpoint.write_json(out / REPORT, report)
         reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
         return report
+
+    def _held_out(self, capture: Capture, store: FrameStore, cuts: list[Span]) -> Iterator[Shot]:
+        """The held-out shots, with the pictures of one segment after another in the cache."""
+        for number, cut in enumerate(cuts):
+            end = cuts[number + 1].first if number + 1 < len(cuts) else cut.first + cut.count
+            shots = [shot for shot in capture.held_out if cut.first <= shot.frame < end]
+            self.reporter.fill(store, shots)
+            yield from shots
 
 
 def at_limits(found: dict) -> list[str]:

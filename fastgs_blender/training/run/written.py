@@ -17,6 +17,7 @@ def write(model: GaussianModel | Chapters, path: Path) -> None:
             formats.save(model, part)
             with warnings.catch_warnings():  # Gaussians that are left out are told to whoever opens the model
                 warnings.simplefilter("ignore", LossWarning)
-                formats.load(part)
+                for piece in getattr(formats.open_source(part), "pieces", ()):
+                    piece.read()
         except FastGSError as error:
             raise FastGSError(str(error).replace(printable(str(part)), "the trained model")) from error

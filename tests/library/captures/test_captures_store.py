@@ -234,6 +234,24 @@ def test_what_finds_no_room_is_decoded_each_time(capture, tmp_path, monkeypatch)
     assert again.beyond == store.beyond and {path.name for path in own.iterdir()} == kept
 
 
+def test_frames_that_are_wanted_now_take_the_place_of_those_used_longest_ago(capture, tmp_path, monkeypatch):
+    """As segments of a long capture do, one after the other; frames of no segment that is trained are on disk for long."""
+    own, store = folders(capture, tmp_path, monkeypatch, 12.5), FrameStore(capture)
+    ordered = [capture.shots[k:k + 6] for k in range(0, 24, 6)]
+    for number, part in enumerate(ordered):
+        store.fill(shots=part)
+        for path in own.iterdir():  # files of one moment are told apart by the order of their segments
+            if path.stat().st_mtime > time.time() - 1000:
+                os.utime(path, (time.time() - 9000 + number,) * 2)
+        assert not store.missing(part) and not store.beyond and len(list(own.iterdir())) <= 12
+        assert not number or not store.missing(ordered[number - 1])
+    store.fill(shots=ordered[2])  # used again, so those after it go first
+    store.fill(shots=ordered[0])
+    assert not store.missing(ordered[2]) and len(store.missing(ordered[3])) == 6
+    store.fill()
+    assert len(store.beyond) == 12 and right(store, capture.shots)
+
+
 def test_frames_of_other_scales_make_room(capture, tmp_path, monkeypatch):
     own = folders(capture, tmp_path, monkeypatch, 26)
     half = FrameStore(open_capture(capture.path, scale=0.5))
