@@ -248,8 +248,8 @@ class TrainingBackend(PictureBackend, Protocol):
         steps; after None those that were made before are not called any more.  All forward() of a step come before its first
         backward()."""
 
-    def rows(self, seen: Array) -> Rows:
-        """The Gaussians whose value in seen [N] is not 0."""
+    def rows(self, seen: Array, held: int = 0) -> Rows:
+        """The Gaussians, but for the first `held`, whose value in seen [N] is not 0.  seen may be written to."""
 
     def count(self, rows: Rows) -> Array:
         """The number of these rows, [1] float64."""
@@ -274,9 +274,9 @@ class TrainingBackend(PictureBackend, Protocol):
         parameters, gradients  by name, of the same shapes; opacity [N] and scale [N, 3] are looked at
         """
 
-    def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...]) -> None:
-        """Move nearly transparent Gaussians at random, each in its own shape, by about reach (MCMC); key: whole numbers that decide
-        the random numbers.  Of the parameters, position [N, 3] is written to."""
+    def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...], held: int = 0) -> None:
+        """Move nearly transparent Gaussians, but for the first `held`, at random, each in its own shape, by about reach (MCMC); key: whole
+        numbers that decide the random numbers.  Of the parameters, position [N, 3] is written to."""
 
     def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
         """A step of Adam in place, against the gradients, for these rows alone; moved [N] int64 becomes `step` there.

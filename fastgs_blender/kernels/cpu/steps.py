@@ -76,12 +76,12 @@ def mcmc_penalty(parameters: dict, gradients: dict, opacity_weight: float, scale
     gradients["scale"] += (scale_weight / (3 * n) * np.exp(parameters["scale"]) / extent).astype(np.float32)
 
 
-def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...], held: int = 0) -> None:
     """TrainingBackend.mcmc_noise()."""
     asserts.mcmc_noise(parameters)
     opacity = sigmoid(parameters["opacity"])
     gate = 1 / (1 + np.exp(-SHARPNESS * ((1 - opacity) - GATE)))
-    rows = np.flatnonzero(gate > NEGLIGIBLE)
+    rows = held + np.flatnonzero(gate[held:] > NEGLIGIBLE)
     if not len(rows):
         return
     step = np.random.default_rng(key).standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]

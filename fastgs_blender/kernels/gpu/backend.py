@@ -22,7 +22,7 @@ from .device import Array, Device, Failure, TooLarge
 from .expose import expose
 from .holdout import surface
 from .picture import Bands, DeviceBuffers, Models, colour, draw
-from .rows import Split, as_rows, zero_rows
+from .rows import Split, as_rows, copy_in, zero_rows
 from .splats import front_to_back, project
 
 
@@ -129,7 +129,9 @@ class GPU(CPU):
     begin_step = _on_device(steps.begin)
     end_step = _on_device(steps.end)
 
-    def rows(self, seen: Any) -> Any:
+    def rows(self, seen: Any, held: int = 0) -> Any:
+        if held:
+            copy_in(self.device, self.device.zeros((held,)).buffer, 0, seen, 0, held)
         return seen
 
     count = _on_device(steps.count)

@@ -77,12 +77,12 @@ def mcmc_penalty(device: Device, parameters: dict, gradients: dict, opacity_weig
         device.run("mcmc_penalty", len_(arrays[0]), [[len_(arrays[0]), 0, 0, 0], weights], *arrays)
 
 
-def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, ...]) -> None:
+def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, ...], held: int = 0) -> None:
     """TrainingBackend.mcmc_noise()."""
     asserts.mcmc_noise(parameters)
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
     for first, arrays in pieces(*(parameters[name] for name in ("opacity", "rotation", "scale", "position"))):
-        job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE]]
+        job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE], [held, 0, 0, 0]]
         device.run("mcmc_noise", len_(arrays[0]), job, *arrays, device.spilled)
 
 

@@ -30,8 +30,6 @@ class Strategy:
     """
 
     name = ""
-    holds = False
-    """Whether it can leave the held Gaussians alone."""
 
     def __init__(self, settings: Settings, extent: float, template: GaussianModel, centres: np.ndarray | None = None) -> None:
         self.settings, self.extent, self.template = settings, extent, template
@@ -81,7 +79,6 @@ class Default(Strategy):
     """
 
     name = "default"
-    holds = True
 
     def acts(self, iteration: int) -> bool:
         return self.due(iteration) or self._resets(iteration)
@@ -170,8 +167,8 @@ class MCMC(Strategy):
     def after_step(self, iteration: int, optimiser: Rows, statistics: Statistics, rates: dict) -> bool:
         if not self.due(iteration):
             return False
-        rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"])
-        dead, alive = (np.flatnonzero((opacity <= self.settings.prune_opacity) == gone) for gone in (True, False))
+        rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"][self.held:])
+        dead, alive = (self.held + np.flatnonzero((opacity <= self.settings.prune_opacity) == gone) for gone in (True, False))
         if len(alive):
             self._relocate(optimiser, dead, alive, rng)
             self._add(iteration, optimiser, rng)
@@ -191,12 +188,11 @@ class MCMC(Strategy):
 
     def _add(self, iteration: int, optimiser: Rows, rng: np.random.Generator) -> None:
         arrays = optimiser.arrays
-        n = len(arrays["opacity"])
-        room = self._room(iteration, n)
+        room = self._room(iteration, len(arrays["opacity"]))
         if room <= 0:
             return
-        weight = sigmoid(arrays["opacity"])
-        source = rng.choice(n, room, p=weight / weight.sum())
+        weight = sigmoid(arrays["opacity"][self.held:])
+        source = self.held + rng.choice(len(weight), room, p=weight / weight.sum())
         self._share(optimiser, source)
         optimiser.append({name: array[source].copy() for name, array in arrays.items() if _per_gaussian(name)})
 
@@ -216,7 +212,7 @@ class MCMC(Strategy):
     def add_noise(self, backend: Any, iteration: int, arrays: dict, rates: dict) -> None:
         if iteration <= self.last:
             strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
-            backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration))
+            backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration), self.held)
 
 
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}

@@ -5,7 +5,7 @@ Most of a room stands still.  What moves covers few pixels, each in few pictures
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from typing import Any
 
 import numpy as np
@@ -25,19 +25,21 @@ LOW, HIGH = 0.03, 0.10
 class MovingPixels:
     """How much each pixel of a shot moves; for shots of cameras that stand still, and that have no mask.
 
-    shots  those that training uses, by which a camera's still picture is found
+    shots   those that training uses, by which a camera's still picture is found
+    masked  gives the picture [h, w, 3] to look at of a shot that has a mask; None: such shots tell nothing
     """
 
-    def __init__(self, store: Any, shots: Sequence[Shot]) -> None:
-        self._store, self._shots, self._still = store, by_view(shots), dict[str, np.ndarray | None]()
+    def __init__(self, store: Any, shots: Sequence[Shot], masked: Callable[[Shot, Pixels], np.ndarray] | None = None) -> None:
+        self._store, self._shots, self._masked, self._still = store, by_view(shots), masked, dict[str, np.ndarray | None]()
 
     def share(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
         """[h, w] float32 of a shot's pixels, as its camera filmed them: 0 stands still, 1 moves; None where it is not known."""
-        still = self._still_picture(shot.view) if pixels.mask is None else None
-        if still is None:
+        looked = self._looked(shot, pixels)
+        still = None if looked is None else self._still_picture(shot.view)
+        if looked is None or still is None:
             return None
-        h, w = pixels.rgb.shape[:2]
-        return _share(smaller(pixels.rgb, _reduction(h, w)), still, h, w)
+        h, w = looked.shape[:2]
+        return _share(smaller(looked, _reduction(h, w)), still, h, w)
 
     def changed(self, earlier: MovingPixels, view: str, h: int, w: int) -> np.ndarray | None:
         """share() [h, w] of what stands still in a camera's film, against the same of an earlier part of it."""
@@ -48,16 +50,20 @@ class MovingPixels:
         """The median [h, w, 3] of some of a camera's pictures, made when it is asked for first."""
         if view not in self._still:
             shots = self._shots.get(view, [])
-            usable = len(shots) >= FEWEST and all(shot.mask is None and _stands(shot, shots[0]) for shot in shots)
+            usable = len(shots) >= FEWEST and all((self._masked or shot.mask is None) and _stands(shot, shots[0]) for shot in shots)
             self._still[view] = self._median(shots) if usable else None
         return self._still[view]
 
     def _median(self, shots: Sequence[Shot]) -> np.ndarray | None:
         picked = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, min(LOOKS, len(shots))).round().astype(int))]
-        looks = [self._store.pixels(shot) for shot in picked]
-        if any(look.mask is not None for look in looks):
-            return None
-        return np.median([smaller(look.rgb, _reduction(*look.rgb.shape[:2])) for look in looks], axis=0).astype(np.float32)
+        looks = [self._looked(shot, self._store.pixels(shot)) for shot in picked]
+        known = [smaller(look, _reduction(*look.shape[:2])) for look in looks if look is not None]
+        return np.median(known, axis=0).astype(np.float32) if len(known) == len(looks) else None
+
+    def _looked(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
+        if pixels.mask is None:
+            return pixels.rgb
+        return None if self._masked is None else self._masked(shot, pixels)
 
 
 def _share(picture: np.ndarray, still: np.ndarray, h: int, w: int) -> np.ndarray:

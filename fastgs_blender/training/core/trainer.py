@@ -94,17 +94,12 @@ class Trainer:
         self.depth, self.warm = self.extent, False
         if start is not None:
             self.depth, self.warm = start.depth or self.extent, start.warm
-            self.strategy.held = start.held if self.can_hold else 0
+            self.strategy.held = start.held
             self.optimiser = Optimiser(_trained_arrays(start, decoder), backend=self.backend)
             self.statistics = Statistics.empty(self.backend, len(start.model))
 
     def __len__(self) -> int:
         return len(self.optimiser)
-
-    @property
-    def can_hold(self) -> bool:
-        """Whether Gaussians can be held as they are: where density control can, on a processor."""
-        return self.strategy.holds and isinstance(self.backend.zeros((1,)), np.ndarray)
 
     @property
     def cameras(self) -> CameraEstimates:
@@ -136,9 +131,7 @@ class Trainer:
         gradients = self._backward(views, statistics, seen)
         losses = [view.loss.values for view in views if view.loss is not None]
         gradients, seen, losses, self.statistics = processes.sum_step(backend, gradients, seen, losses, statistics)
-        if self.strategy.held:
-            seen[:self.strategy.held] = 0
-        rows = backend.rows(seen)
+        rows = backend.rows(seen, self.strategy.held)
         penalty = self._regularise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
         end = backend.end_step(backend.count(rows), penalty, *losses, *measured)
@@ -282,7 +275,7 @@ class Trainer:
 
         self.iteration, self.depth, self.warm = about["iteration"], float(about["depth"]), about["warm"]
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
-        self.strategy.held = about.get("held", 0) if self.can_hold else 0
+        self.strategy.held = about.get("held", 0)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.delayed.restore(part("cameras"))
         self._prepared = -1, []

@@ -6,11 +6,13 @@ number, so that no still pixel flickers where segments change over, and a file k
 """
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from ...captures.capture import Capture, by_view
+from ...captures.capture import Capture, Shot, by_view
+from ...captures.pixels.store import Pixels
 from ...model.appearance import Features
 from ...model.gaussians import GaussianModel
 from ...model.joining import FLAT
@@ -20,6 +22,7 @@ from ...util import rotations
 from ..core.moving_pixels import LOOKS, MovingPixels
 from ..core.settings import Settings
 from ..core.start import Start
+from ..core.targets import use_of_mask
 from . import starting_points
 from .dense import spread
 from .first_model import depth_of, model_from_points
@@ -41,7 +44,7 @@ SURE = 0.5
 WAYS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)], float)
 
 
-def settled(model: GaussianModel, capture: Capture, store: Any) -> GaussianModel:
+def settled(model: GaussianModel, capture: Capture, store: Any, settings: Settings) -> GaussianModel:
     """The model with the Gaussians of which the films show that they stand still as they are on average, without motion."""
     times = np.linspace(0, (model.clip.frame_count - 1) / model.clip.frame_count, SAMPLES)
     places = np.stack([positions_at(model, t) for t in times])
@@ -51,7 +54,7 @@ def settled(model: GaussianModel, capture: Capture, store: Any) -> GaussianModel
     pixel /= max(shot.camera.fx for shot in capture.training if shot.camera)
     shown = np.stack([model.temporal_kind.factor(t, model.mu_tau, model.temporal) for t in times])
     moved = np.linalg.norm(places - middle, axis=-1).max(0) / pixel
-    calm = _calm(middle, np.exp(model.scale.max(1)), capture, store)
+    calm = _calm(middle, np.exp(model.scale.max(1)), capture, store, settings)
     still = ((moved < MOVED) & (calm >= CALM) | (calm == 1)) & (shown.min(0) > 1 - FADED)
     still |= (moved < MOVED_LITTLE) & (shown.min(0) > 1 - FADED_LITTLE)
     arrays = {name: array.copy() for name, array in model.arrays.items()}
@@ -66,14 +69,16 @@ def settled(model: GaussianModel, capture: Capture, store: Any) -> GaussianModel
     return replace(model, **arrays)  # type: ignore[arg-type]
 
 
-def _calm(places: np.ndarray, sizes: np.ndarray, capture: Capture, store: Any, earlier: Capture | None = None) -> np.ndarray:
+def _calm(places: np.ndarray, sizes: np.ndarray, capture: Capture, store: Any, settings: Settings,
+          earlier: Capture | None = None) -> np.ndarray:
     """The share [N] of the films that show Gaussians at these places [N, 3], of these sizes [N], in which nothing moves there; 1 of those
-    that none shows.  0 where cameras move or pictures have masks, so that films do not tell.
+    that none shows.  0 where all cameras move, so that films do not tell.
 
     earlier  the segment before: now what counts is that films show for most of the time, in a part of it, what stood still before
     """
-    before = None if earlier is None else MovingPixels(store, earlier.training)
-    moving, seen, calm = MovingPixels(store, capture.training), np.zeros(len(places)), np.zeros(len(places))
+    masked = partial(_within_mask, settings, capture)
+    before = None if earlier is None else MovingPixels(store, earlier.training, masked)
+    moving, seen, calm = MovingPixels(store, capture.training, masked), np.zeros(len(places)), np.zeros(len(places))
     told = False
     for shots in by_view(capture.training).values():
         found = [moving.share(shot, store.pixels(shot)) for shot in spread(shots, LOOKS)]
@@ -95,6 +100,13 @@ def _calm(places: np.ndarray, sizes: np.ndarray, capture: Capture, store: Any, e
     return np.where(seen > 0, calm / np.maximum(seen, 1), float(told))
 
 
+def _within_mask(settings: Settings, capture: Capture, shot: Shot, pixels: Pixels) -> np.ndarray:
+    """What the model is to show of a picture [h, w, 3], over black."""
+    use = use_of_mask(settings, capture, shot, pixels.mask)
+    cover = pixels.mask if use in ("cut", "only") else pixels.alpha
+    return pixels.rgb if use == "off" or cover is None else pixels.rgb * cover[..., None]
+
+
 def stands(model: GaussianModel) -> np.ndarray:
     """Which Gaussians [N] of a settled model stand still and stay."""
     moves = model.motion.any((1, 2)) | model.rotation_motion.any((1, 2))
@@ -111,7 +123,7 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     """
     found, store = starting_points.initial_points(capture, store, settings, say, progress)
     timed = found.take(np.flatnonzero(np.isfinite(found.t))) if found.t is not None else found.take(slice(0, 0))
-    held = stands(before) & (_calm(before.position, np.exp(before.scale.max(1)), capture, store, earlier) > 0)
+    held = stands(before) & (_calm(before.position, np.exp(before.scale.max(1)), capture, store, settings, earlier) > 0)
     models = [before.take(np.flatnonzero(held)), _going_on(before.take(np.flatnonzero(~held)), at, settings)]
     room = max(settings.max_gaussians - sum(map(len, models)), 0)
     if len(timed):

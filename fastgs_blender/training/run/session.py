@@ -142,7 +142,7 @@ class _Session:
             self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
             model = self._trained(capture, store, cuts, folder, number, "cpu", earlier)
         if len(cuts) > 1:  # the model replaces the checkpoint
-            model = settled(model, capture, store) if self.plan.settings.segment_steps else model
+            model = settled(model, capture, store, self.plan.settings) if self.plan.settings.segment_steps else model
             checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
             written.write(model, folder / SEGMENT_MODEL)
             (folder / CHECKPOINT).unlink(missing_ok=True)

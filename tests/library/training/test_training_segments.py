@@ -157,14 +157,15 @@ def test_a_segment_begins_from_the_one_before(filmed, tmp_path, monkeypatch):
     assert flicker(clip) < 1 / 255 < flicker(alone)
 
 
-def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, rng, make_model):
+@pytest.mark.parametrize("density", ["default", "mcmc"])
+def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, density):
     from fastgs_blender.training.core.start import Start
     from fastgs_blender.training.core.trainer import Trainer
     from fastgs_blender.training.initial.first_model import model_from_points
 
     capture, store, points = filmed
     chosen = settings.settings(iterations=20, densify_from=0.0, densify_every=5, densify_threshold=0.0, prune_opacity=0.4, warm_up=(),
-                               max_gaussians=150, backdrop=0.0, exposures="off", clocks="off", poses="off")
+                               density=density, max_gaussians=150, backdrop=0.0, exposures="off", clocks="off", poses="off")
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     first.opacity[:5] = -3.0
     trainer = Trainer(capture, store, chosen, Start(first, held=40))
@@ -178,3 +179,27 @@ def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, rng, make_mode
     again.restore(*trainer.state())
     again.step()
     np.testing.assert_array_equal(again.model().features[:40], first.features[:40])
+
+
+def test_films_with_masks_tell_what_stands_still(filmed):
+    """Whole masks change nothing, and where the model is to show nothing, nothing moves; cameras that move tell nothing."""
+    from types import SimpleNamespace
+
+    from fastgs_blender.captures.pixels.store import Pixels
+    from fastgs_blender.training.initial.continued import _calm
+
+    capture, store, points = filmed
+    chosen, sizes = settings.settings(), np.full(len(points.xyz), 0.1)
+
+    def calm(mask=None, capture=capture):
+        shown = SimpleNamespace(pixels=lambda shot: Pixels(store.pixels(shot).rgb, mask))
+        return _calm(points.xyz, sizes, capture, shown, chosen)
+
+    plain = calm()
+    assert (plain[60:] < 0.6).all() and plain[:60].mean() > 0.7
+    np.testing.assert_array_equal(calm(np.ones((54, 72), np.float32)), plain)
+    assert (calm(np.zeros((54, 72), np.float32)) == 1).all()
+    moved = [replace(shot, camera=replace(shot.camera, fx=shot.camera.fx + shot.frame)) for shot in capture.shots]
+    pictures = {id(after.camera): store.pixels(shot) for shot, after in zip(capture.shots, moved)}
+    told = SimpleNamespace(pixels=lambda shot: pictures[id(shot.camera)])
+    assert not _calm(points.xyz, sizes, replace(capture, shots=moved), told, chosen).any()

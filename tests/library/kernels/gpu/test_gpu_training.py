@@ -137,6 +137,23 @@ def test_a_run_ends_where_the_cpus_does(gpu, adapter):
     assert abs(found[0] - found[1]) < 0.1
 
 
+@pytest.mark.parametrize("density", ["default", "mcmc"])
+def test_what_is_held_stays(gpu, adapter, density):
+    """Segments of a long capture hold what stands still, number for number; the rest is trained."""
+    capture, store, points = toy_capture(frames=4, views=3)
+    chosen = settings.settings(iterations=8, preview_every=0, max_gaussians=200, density=density, densify_from=0.0, densify_every=4,
+                               densify_threshold=0.0, exposures="off", clocks="off", poses="off")
+    first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
+    first.opacity[:40:2] = -7.0
+    trainer = Trainer(capture, store, chosen, Start(first, held=33), backend=f"gpu:{adapter.name}")
+    for _ in range(6):
+        trainer.step()
+    after = trainer.model()
+    assert len(after) > len(first) and (after.position[33:60] != first.position[33:60]).any()
+    for name, array in first.arrays.items():
+        np.testing.assert_array_equal(after.arrays[name][:33], array[:33], err_msg=name)
+
+
 def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
     """Then the run goes on on the CPU from its last checkpoint (test_gpu_devices.py)."""
     capture, store, points = toy_capture(frames=2, views=3)
