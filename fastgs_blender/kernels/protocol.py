@@ -279,7 +279,8 @@ class TrainingBackend(PictureBackend, Protocol):
         numbers that decide the random numbers.  Of the parameters, position [N, 3] is written to."""
 
     def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
-        """A step of Adam in place, against the gradients, for these rows alone; moved [N] int64 becomes `step` there.
+        """A step of Adam in place, against the gradients, for these rows alone, each as far as cpu.adam.reach() says; moved [N] int64
+        becomes `step` there.
 
         tensors  (value, gradient, mean, square, count [len(value)] int32, rate, shared) each: mean and square are Adam's moments of
                  the value's shape; count is how many steps each row has taken; rate is a number, or one for each column of a row;

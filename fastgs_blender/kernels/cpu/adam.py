@@ -1,5 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Adam (Kingma and Ba 2015) in place, for the rows that a step has seen."""
+"""Adam (Kingma and Ba 2015) in place, for the rows that a step has seen.
+
+A row that is seen in one of P steps goes sqrt(P) as far in it.  So it does by the usual Adam, whose second moment is P times smaller there,
+but which moves all rows in every step.  By steps of one length, what few cameras see is left behind (docs/notes/learning-rates.md).
+"""
 from __future__ import annotations
 
 import math
@@ -11,6 +15,8 @@ from numba import float32
 from .jit import kernel
 
 EPSILON = 1e-15
+LONGEST = 16
+"""A row that was seen longer ago goes no farther."""
 STEPS = 1 << 16
 """From this step on there is nothing left to correct."""
 
@@ -22,10 +28,16 @@ def corrections(beta1: float, beta2: float) -> np.ndarray:
     return np.stack([1 / (1 - beta1**n), 1 / np.sqrt(1 - beta2**n)], 1).astype(np.float32)
 
 
+def reach(since: np.ndarray) -> np.ndarray:
+    """How far rows [R] go that stand for so many steps, in rates: float32."""
+    return np.sqrt(np.minimum(since, LONGEST), dtype=np.float32)
+
+
 @kernel
-def adam(first, last, rows, value, gradient, mean, square, count, rate, beta1, beta2, table):
+def adam(first, last, rows, reach, value, gradient, mean, square, count, rate, beta1, beta2, table):
     """A step of the rows rows[first:last] of value [N, D], downhill.
 
+    reach         [R] float32, a factor on the rate of each of the rows
     gradient      [N, D]; what is no finite number counts as zero
     mean, square  [N, D]: Adam's moments
     count         [N] int32: the steps each row has taken; each corrects its own bias, as a row that is seldom seen is young for long
@@ -40,7 +52,7 @@ def adam(first, last, rows, value, gradient, mean, square, count, rate, beta1, b
         i = rows[k]
         count[i] += 1
         n = min(count[i], len(table) - 1)
-        c1, c2 = table[n, 0], table[n, 1]
+        c1, c2 = table[n, 0] * reach[k], table[n, 1]
         for c in range(value.shape[1]):
             g = gradient[i, c]
             g = g if abs(g) < most else zero

@@ -100,7 +100,8 @@ class Optimiser:
         return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
     def step(self, gradients: dict, rows: Any, rates: dict) -> None:
-        """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates.
+        """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates; rows that were
+        seen P steps ago by up to sqrt(P) of them (kernels.cpu.adam).
 
         gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
         rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are

@@ -50,15 +50,32 @@ def test_rows_that_were_not_seen_stay_and_keep_their_own_count(rng):
     before = {k: v.copy() for k, v in values.items()}
     some, rates = np.array([3, 17, 40]), {k: v for k, v in RATES.items() if k != "w1"}
     for _ in range(5):
-        one.step(g := gradients(rng, one), some, rates)
-        two.step(gradients(rng, two), np.array([0]), rates)  # meanwhile something else
+        for optimiser, other in ((one, 1), (two, 0)):
+            optimiser.step(gradients(rng, optimiser), np.array([other]), rates)  # meanwhile something else
+        g = gradients(rng, one)
+        one.step(g, some, rates)
         two.step(g, some, rates)
-    others = np.setdiff1d(np.arange(50), some)
+    others = np.setdiff1d(np.arange(2, 50), some)
     for name in SHAPES:
         assert np.array_equal(one.arrays[name][others], before[name][others])
         assert np.array_equal(one.arrays[name][some], two.arrays[name][some])
     assert not np.array_equal(one.arrays["position"][some], before["position"][some])
     assert np.array_equal(one.arrays["w1"], before["w1"])
+
+
+@pytest.mark.parametrize("period", [1, 4, 16])
+def test_what_is_seldom_seen_goes_as_far_as_by_the_usual_adam(period):
+    """Which moves every row in every step, by what it remembers: torch's."""
+    torch = pytest.importorskip("torch")
+    ours = Optimiser({"position": np.zeros((2, 3), np.float32)})
+    theirs = torch.zeros(3, requires_grad=True)
+    adam = torch.optim.Adam([theirs], lr=1e-3, eps=1e-15)
+    for step in range(4000):
+        seen = step % period == 0
+        theirs.grad = torch.full((3,), float(seen))
+        adam.step()
+        ours.step({"position": np.ones((2, 3), np.float32)}, np.array([0] if seen else [1]), {"position": 1e-3})
+    np.testing.assert_allclose(ours.arrays["position"][0], theirs.detach().numpy(), rtol=0.1)
 
 
 def test_it_knows_how_long_a_row_has_waited(rng):

@@ -10,7 +10,7 @@ struct Job {
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
-@group(0) @binding(1) var<storage, read> seen: array<f32>;
+@group(0) @binding(1) var<storage, read> since: array<f32>; // steps_since.wgsl: 0 where a step did not see the row
 @group(0) @binding(2) var<storage, read> count: array<i32>;
 @group(0) @binding(3) var<storage, read> table: array<vec2f>; // corrections of the moments' bias by the row's step
 @group(0) @binding(4) var<storage, read> gradient: array<f32>;
@@ -24,9 +24,10 @@ fn thread(i: u32) {
         return;
     }
     let row = i / job.size.y;
-    if job.size.z == 0u && seen[row] == 0.0 {
+    if job.size.z == 0u && since[row] == 0.0 {
         return;
     }
+    let reach = select(sqrt(min(since[row], {LONGEST}.0)), 1.0, job.size.z != 0u);
     let column = i % job.size.y;
     let corrections = table[min(u32(count[row] + 1), job.size.w - 1u)];
     let g = select(0.0, gradient[i], abs(gradient[i]) <= 3e38);
@@ -35,5 +36,5 @@ fn thread(i: u32) {
     let s = job.betas.y * square[i] + job.betas.w * g * g;
     mean[i] = kept;
     square[i] = s;
-    value[i] -= job.rates[column / 4u][column % 4u] * corrections.x * kept / (sqrt(s) * corrections.y + 1e-15);
+    value[i] -= job.rates[column / 4u][column % 4u] * reach * corrections.x * kept / (sqrt(s) * corrections.y + 1e-15);
 }
