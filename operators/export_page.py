@@ -2,8 +2,8 @@
 """File > Export > 4D Gaussians: Web Page: the scene's splats as one HTML file that plays them."""
 from __future__ import annotations
 
+import tempfile
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
 
 import bpy
@@ -14,8 +14,8 @@ from bpy_extras.io_utils import ExportHelper
 from .. import fastgs_blender as fg
 from ..engine import scene_linear
 from ..fastgs_blender.formats import web
+from ..fastgs_blender.formats.web.long import compressed_clips, in_pieces
 from ..fastgs_blender.formats.web.page import Page
-from ..fastgs_blender.formats.web.poster import poster
 from ..scene import objects, web_scene
 from ..scene.background import in_background
 from .action import draw_options
@@ -105,11 +105,12 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
         if self.frame_end < self.frame_start:
             raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
         self._remarks += [f"The page does not show: {text}." for text in web_scene.not_kept(context)]
-        shown, eyes = yield from self._sampled(context)
+        shown, eyes, paths = yield from self._sampled(context)
         page = self._page(context, target, shown, eyes)
         level = web.Loss.of(LEVELS[self.quality])
         kept = {} if self.quality == 'SMALL' else self._kept(context, page)
-        steps = in_background(lambda progress: self._save(page, target, level, kept, progress))
+        clips = {stands: Path(path) for stands, path in paths.items()}
+        steps = in_background(lambda progress: self._save(page, target, level, kept, clips, progress))
         with closing(steps):
             for share in steps:
                 yield share, 1, "compressing"
@@ -145,9 +146,14 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
                 kept |= {model: data} if data else {}
         return kept
 
-    def _save(self, page: Page, target: Path, level, kept, progress):
-        with self.listening():
-            web.save_page(replace(page, poster=poster(page, _linear)), target, level, self.limit or None, progress, kept)
+    def _save(self, page: Page, target: Path, level, kept, clips, progress):
+        """Write the page; clips: the files of its long clips, of which a piece at a time is in memory."""
+        ready = {stands: path for stands, path in clips.items() if self.quality == 'FINE' and web.is_compressed(path)}
+        sources = {stands: objects.load_model(str(path)) for stands, path in clips.items()}
+        with self.listening(), tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
+            page, files = compressed_clips(page, sources, ready, level, Path(folder), progress)
+            page, pieces = in_pieces(page, files, _linear)
+            web.save_page(page, target, level, self.limit or None, progress, kept | pieces)
 
 
 def _linear(instances, camera):

@@ -12,6 +12,7 @@ import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.formats.web import Sound, cannot_play, sound_of
+from ..fastgs_blender.formats.web.long import stands_for
 from ..fastgs_blender.formats.web.page import PageObject
 from ..fastgs_blender.model.chapters import Chapters
 from ..fastgs_blender.rendering.instances import Instance
@@ -30,18 +31,33 @@ NEAR = 0.1
 """Blender's usual *Clip Start* in metres: nothing that a page shows lies nearer."""
 
 
+class _LongClip:
+    """A clip in chapters as frames are sampled: at all times one model, which stands for it and has no Gaussians."""
+
+    def __init__(self, clip: Chapters) -> None:
+        self.clip, self.stands = clip.clip, stands_for(clip)
+
+    def moment(self, t: float, hold: bool = False, read: bool = True) -> tuple[fg.GaussianModel, float]:
+        return self.stands, t
+
+
 class Tracks:
-    """The splat objects of a scene over its frames."""
+    """The splat objects of a scene over its frames.
+
+    paths  of long clips, by the models that stand for them
+    """
 
     def __init__(self, count: int) -> None:
         self.count = count
+        self.paths: dict[fg.GaussianModel, str] = {}
+        self._long: dict[str, _LongClip] = {}
         self.found: dict[tuple, list[Instance | None]] = {}
 
     def add(self, number: int, depsgraph, chosen) -> None:
         """Take what the scene shows on a frame, counted from 0.  Raises FastGSError where a page cannot play it."""
         shown = snapshot.take(depsgraph, chosen, final=True)
         as_filed = replace(shown, instances=[replace(item, points=None) for item in shown.instances])
-        instances, left_out = as_filed.load(_playable)
+        instances, left_out = as_filed.load(self._playable)
         if left_out:
             raise fg.FastGSError(f"{left_out[0][0]} cannot be exported: {left_out[0][1]}")
         for instance in instances:
@@ -60,6 +76,21 @@ class Tracks:
             made.append(PageObject(shown[0].source, [each.placement for each in around], [each.t for each in around], filled))
         return made
 
+    def _playable(self, path: str) -> fg.GaussianModel | _LongClip:
+        """What a file shows; raises FastGSError where a page cannot play it."""
+        model = objects.load_model(path)
+        if isinstance(model, Chapters):
+            if path not in self._long:
+                self._long[path] = _LongClip(model)
+                self.paths[self._long[path].stands] = path
+            return self._long[path]
+        if not isinstance(model, fg.GaussianModel):
+            raise fg.FastGSError("it shows a sequence, and a page plays models; make one of it with fastgs convert.")
+        reason = cannot_play(model)
+        if reason:
+            raise fg.FastGSError(reason)
+        return model
+
 
 def _held(track: list[Instance | None], first: Instance) -> list[Instance]:
     """A track whose gaps hold what was before them."""
@@ -70,23 +101,8 @@ def _held(track: list[Instance | None], first: Instance) -> list[Instance]:
     return held
 
 
-def _playable(path: str) -> fg.GaussianModel:
-    """The model of a file; raises FastGSError where a page cannot play it."""
-    model = objects.load_model(path)
-    if isinstance(model, Chapters):
-        if not model.one_time:
-            raise fg.FastGSError("its chapters have motion of their own, and a page plays one model; export the models that it is made of.")
-        model = model.whole()
-    if not isinstance(model, fg.GaussianModel):
-        raise fg.FastGSError("it shows a sequence, and a page plays models; make one of it with fastgs convert.")
-    reason = cannot_play(model)
-    if reason:
-        raise fg.FastGSError(reason)
-    return model
-
-
 def sampled(context, first: int, last: int, chosen, moving: bool) -> Iterator[tuple[int, int]]:
-    """Goes through the frames of the scene, yields (done, whole), and returns (PageObjects, cameras).
+    """Goes through the frames of the scene, yields (done, whole), and returns (PageObjects, cameras, Tracks.paths).
 
     chosen  which objects, see snapshot.take();  moving: whether the cameras of all frames are asked for, or the first one's
     The scene is left on its frame.  Raises FastGSError.
@@ -107,7 +123,7 @@ def sampled(context, first: int, last: int, chosen, moving: bool) -> Iterator[tu
         scene.frame_set(before[0], subframe=before[1])
     if not tracks.found:
         raise fg.FastGSError("no splats are shown on these frames; show some, or choose other frames.")
-    return tracks.objects(), _changing(eyes) or [_view(context)]
+    return tracks.objects(), _changing(eyes) or [_view(context)], tracks.paths
 
 
 def check(context, chosen) -> None:

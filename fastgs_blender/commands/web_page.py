@@ -84,7 +84,7 @@ def _write_clip(source: Chapters, target: Path, args: argparse.Namespace, loss: 
 
     with tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
         path, lost = Path(args.input), []
-        if args.compress is not None or args.then or args.chapters is not None or web.kept_file(path) is None:
+        if args.compress is not None or args.then or args.chapters is not None or not web.is_compressed(path):
             path = Path(folder) / "clip.safetensors"
             lost = native.Native(loss, progress).write_chapters(source, path)
         page, packed = web.clip_page(path, **options)

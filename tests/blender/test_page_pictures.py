@@ -92,7 +92,7 @@ def test_a_long_clip_is_read_chapter_by_chapter(played, tmp_path):
     fg.save(fg.chapters(comings(240, 24, 400, 50), frames=10), path)
     page, packed = clip_page(path, background=BACKGROUND)
     source, camera = fg.open_source(path), around(None)[0]
-    tab = played(page, [packed[each.model] for each in page.objects])
+    tab = played(page, [packed[each.model]() for each in page.objects])
     assert tab.evaluate("document.body.dataset.state") == "ready", tab.messages
     held = []
     for frame in (0, 19, 19.5, 20, 20.25, 40, 139, 140, 239, 3, 100, 99.5):

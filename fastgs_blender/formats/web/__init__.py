@@ -7,8 +7,9 @@ from __future__ import annotations
 
 import tempfile
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -23,8 +24,8 @@ from ..base import Format
 from ..native import KEY, Native
 from ..rate import LEVELS, Loss
 from .library import cannot_play
-from .long import clip_page
-from .page import Page, PageObject, Sound, page_text
+from .long import clip_page as clip_page
+from .page import Page, PageObject, Sound, write_page
 from .poster import poster
 
 FINE = Loss(LEVELS["fine"])
@@ -36,6 +37,7 @@ LARGEST_SOUND = 1 << 28
 SOUNDS = {".mp3": "audio/mpeg", ".m4a": "audio/mp4", ".aac": "audio/aac", ".ogg": "audio/ogg", ".oga": "audio/ogg", ".opus": "audio/ogg",
           ".wav": "audio/wav", ".flac": "audio/flac", ".webm": "audio/webm"}
 """Extension -> MIME type of the sound files that browsers play."""
+Packed = Mapping[GaussianModel, bytes | Callable[[], bytes]]
 
 
 @dataclass(frozen=True)
@@ -57,8 +59,7 @@ class WebPage(Format):
         return Native(self.loss).fit(model)
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        text = finished(page_of(model), self.loss, self.progress)
-        targets[-1].write_text(text, "utf-8", newline="\n")
+        _write(targets[-1], page_of(model), self.loss, self.progress, {})
 
     def write_chapters(self, source: Chapters, target: Path) -> list[str]:
         """Write the page of a long clip; returns what is lost, one clause each."""
@@ -66,7 +67,7 @@ class WebPage(Format):
             path = Path(folder) / "clip.safetensors"
             lost = Native(self.loss, self.progress).write_chapters(source, path)
             page, packed = clip_page(path)
-            target.write_text(finished(page, self.loss, None, packed), "utf-8", newline="\n")
+            _write(target, page, self.loss, None, packed)
         return lost
 
 
@@ -78,43 +79,46 @@ def page_of(model: GaussianModel, **options: Any) -> Page:
 
 
 def save_page(page: Page, path: Path, loss: Loss = FINE, limit: float | None = None,
-              progress: Callable[[float], None] | None = None, packed: dict[GaussianModel, bytes] | None = None) -> int:
+              progress: Callable[[float], None] | None = None, packed: Packed | None = None) -> int:
     """Write a page as one HTML file; returns its bytes.
 
     loss    how much the pictures may lose
     limit   MB that the file may have
-    packed  compressed files of models, which are taken as they are
+    packed  compressed files of models, or what gives them, which are taken as they are
     What progress() raises cancels it, and nothing is written.  Raises FastGSError; a LossWarning says so where the page is large.
     """
-    data = finished(page, loss, progress, packed).encode()
-    if limit is not None and len(data) > limit * 1e6:
-        raise FastGSError(f"{path} would have {len(data) / 1e6:.1f} MB, and its limit is {limit:g} MB; {SMALLER}, or raise the limit.")
     with replacing([path]) as (target,):
-        target.write_bytes(data)
-    return len(data)
+        size = _write(target, page, loss, progress, packed or {})
+        if limit is not None and size > limit * 1e6:
+            raise FastGSError(f"{path} would have {size / 1e6:.1f} MB, and its limit is {limit:g} MB; {SMALLER}, or raise the limit.")
+    if size > LARGE * 1e6:
+        warnings.warn(LossWarning(f"the page has {size / 1e6:.1f} MB, and phones may not open one beyond {LARGE:g} MB; {SMALLER}."),
+                      stacklevel=2)
+    return size
 
 
-def finished(page: Page, loss: Loss, progress: Callable[[float], None] | None = None,
-             packed: dict[GaussianModel, bytes] | None = None) -> str:
-    """The text of a page, with its poster and its compressed models; a LossWarning says so where it is large."""
+def _write(target: Path, page: Page, loss: Loss, progress: Callable[[float], None] | None, packed: Packed) -> int:
+    """Write a page with its poster and its compressed models, one after the other; returns its bytes."""
     for model in page.models.values():
         if reason := cannot_play(model):
             raise FastGSError(reason)
     if page.poster is None:
         page = replace(page, poster=poster(page))
-    files = [(packed or {}).get(model) for model in page.models.values()]
-    left = [i for i, data in enumerate(files) if data is None]
-    for done, i in enumerate(left):
-        def part(share: float, done: int = done) -> None:
-            if progress:
-                progress((done + share) / len(left))
+    models = list(page.models.values())
 
-        files[i] = compressed_file(list(page.models.values())[i], loss, part)
-    text = page_text(page, [data for data in files if data is not None])
-    if len(text) > LARGE * 1e6:
-        warnings.warn(LossWarning(f"the page has {len(text) / 1e6:.1f} MB, and phones may not open one beyond {LARGE:g} MB; {SMALLER}."),
-                      stacklevel=2)
-    return text
+    def files() -> Iterator[bytes]:
+        for done, model in enumerate(models):
+            data = packed.get(model)
+            yield compressed_file(model, loss, partial(part, done)) if data is None else data if isinstance(data, bytes) else data()
+            part(done, 1.0)
+
+    def part(done: int, share: float) -> None:
+        if progress:
+            progress((done + share) / len(models))
+
+    with target.open("w", encoding="utf-8", newline="\n") as stream:
+        write_page(stream, page, files())
+    return target.stat().st_size
 
 
 def compressed_file(model: GaussianModel, loss: Loss, progress: Callable[[float], None] | None = None) -> bytes:
@@ -128,12 +132,16 @@ def compressed_file(model: GaussianModel, loss: Loss, progress: Callable[[float]
 
 def kept_file(path: Path) -> bytes | None:
     """The bytes of a file of ours that is compressed already, and loses nothing more in a page; None of another file."""
+    return path.read_bytes() if is_compressed(path) else None
+
+
+def is_compressed(path: Path) -> bool:
+    """Whether a file is one of ours that is compressed already."""
     with path.open("rb") as stream:
         if not Native().sniff(stream.read(9), path):
-            return None
+            return False
     with open_tensors(path) as file:
-        compressed = '"compressed"' in file.metadata.get(KEY, "")
-    return path.read_bytes() if compressed else None
+        return '"compressed"' in file.metadata.get(KEY, "")
 
 
 def sound_of(path: str | Path, start: float = 0.0) -> Sound:

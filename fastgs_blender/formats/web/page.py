@@ -19,7 +19,7 @@ player interpolates them.  After the last frame the last one stays.
     opening     {"moves": whether there is a camera for each frame, "cameras": [{"pose": camera to world, in OpenCV axes,
                 "fx", "fy", "cx", "cy", "width", "height", "orthographic"}]}
     pivot, up   [x, y, z] in the world: what the view turns around, and the direction that stays upright
-    objects     of each: "model": i;
+    objects     of each: "model": i, and perhaps "like": k, a former object whose members it has but for its own;
                 "places": model to world, and "looks": rows of looks.look_numbers(), one, or one for each frame;
                 "times": the model's t for each frame, or empty: t = frame / frames;
                 "crops": one list, or one for each frame, of {"matrix", "remove", "shape": "BOX", "SPHERE" or "VOLUME", "soft", "volume"};
@@ -38,14 +38,17 @@ from __future__ import annotations
 import base64
 import hashlib
 import html
+import io
 import json
+import shutil
+import tempfile
 import zlib
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
 from string import Template
-from typing import Any
+from typing import Any, TextIO
 
 import numpy as np
 
@@ -154,8 +157,16 @@ class Page:
     def description(self) -> dict[str, Any]:
         """The JSON of the page."""
         volumes: dict[str, Volume] = {}
-        keys = list(self.models)
-        objects = [self._object(each, keys.index(each.key), volumes) for each in self.objects]
+        numbers = {key: i for i, key in enumerate(self.models)}
+        objects: list[dict[str, Any]] = []
+        told: dict[tuple, int] = {}  # the pieces of a clip share what is told of each frame
+        for each in self.objects:
+            alike = tuple(map(id, (each.places, each.times, each.settings, each.shown.surroundings)))
+            piece = {} if each.piece is None else {
+                "shown": list(each.piece.shown), "clip": list(each.piece.time), "count": each.piece.count}
+            shared = {"like": told[alike]} if piece and alike in told else self._object(each, volumes)
+            told.setdefault(alike, len(objects))
+            objects.append(piece | shared | {"model": numbers[each.key]})
         depths = [{"side": len(depth), "depth": _base64(np.ascontiguousarray(depth, "<f4").tobytes())}
                   for depth in (volume.depth for volume in volumes.values())]
         return {
@@ -166,11 +177,11 @@ class Page:
             "sound": {"type": self.sound.type, "start": self.sound.start} if self.sound else None,
         }
 
-    def _object(self, shown: PageObject, number: int, volumes: dict[str, Volume]) -> dict[str, Any]:
+    def _object(self, shown: PageObject, volumes: dict[str, Volume]) -> dict[str, Any]:
         first = shown.settings[0]
-        sampling, piece = Instance(shown.model, np.eye(4), 0.0, first).captured, shown.piece
-        return ({} if piece is None else {"shown": list(piece.shown), "clip": list(piece.time), "count": piece.count}) | {
-            "model": number, "places": [_numbers(place) for place in shown.places], "times": _numbers(shown.times),
+        sampling = Instance(shown.model, np.eye(4), 0.0, first).captured
+        return {
+            "places": [_numbers(place) for place in shown.places], "times": _numbers(shown.times),
             "looks": _changing([_numbers(look_numbers(each, shown.model.colour_space)) for each in shown.settings]),
             "crops": _changing([[_crop(crop, volumes) for crop in each.crops] for each in shown.settings]),
             "backdrop": first.backdrop, "bends": first.bends,
@@ -180,24 +191,45 @@ class Page:
         }
 
 
-def page_text(page: Page, files: Sequence[bytes], player: Mapping[str, str] | None = None) -> str:
+def page_text(page: Page, files: Iterable[bytes], player: Mapping[str, str] | None = None) -> str:
     """The HTML of a page whose models lie in these compressed files, one for each of page.models.
 
     player  the player's files by name, where they are not those in the folder
     """
+    text = io.StringIO()
+    write_page(text, page, files, player)
+    return text.getvalue()
+
+
+def write_page(stream: TextIO, page: Page, files: Iterable[bytes], player: Mapping[str, str] | None = None) -> None:
+    """Write page_text(): one file after another is asked for, and none stays in memory."""
     player = player_files() if player is None else player
-    held = {f"model-{i}": data for i, data in enumerate(files)} | ({"sound": page.sound.data} if page.sound else {})
     workers = {name.removesuffix(".js"): joined(name, player) for name in player if name.endswith("_worker.js")}
-    description = page.description() | {"parts": {name: {"bytes": len(data), "crc": zlib.crc32(data)} for name, data in held.items()},
-                                        "workers": {name: zlib.crc32(text.encode()) for name, text in workers.items()}}
-    parts = [_data("scene", "application/json", json.dumps(description, separators=(",", ":"), allow_nan=False))]
-    parts += [_data(name, "text/plain", text) for name, text in workers.items()]
-    parts += [_data(name, "text/plain", _base64(data)) for name, data in held.items()]
-    script, style = joined("main.js", player), player["page.css"]
-    poster = f'<img id="poster" alt="{html.escape(page.title)}" src="data:image/png;base64,{_base64(page.poster)}">' if page.poster else ""
-    return Template(player["template.html"]).substitute(
-        policy=POLICY.format(script=_digest(script), style=_digest(style)), generator=html.escape(generator()),
-        title=html.escape(page.title), style=style, poster=poster, data="\n".join(parts), script=script)
+    parts = {}
+    with tempfile.TemporaryFile("w+", encoding="ascii", newline="\n") as held:  # the description comes first, and sums them up
+        for i, data in enumerate(files):
+            parts[f"model-{i}"] = _kept(held, f"model-{i}", data)
+        if page.sound:
+            parts["sound"] = _kept(held, "sound", page.sound.data)
+        description = page.description() | {"parts": parts, "workers": {name: zlib.crc32(text.encode()) for name, text in workers.items()}}
+        script, style = joined("main.js", player), player["page.css"]
+        picture = f'src="data:image/png;base64,{_base64(page.poster or b"")}"'
+        poster = f'<img id="poster" alt="{html.escape(page.title)}" {picture}>' if page.poster else ""
+        head, _, tail = player["template.html"].partition("$data")
+        stream.write(Template(head).substitute(
+            policy=POLICY.format(script=_digest(script), style=_digest(style)), generator=html.escape(generator()),
+            title=html.escape(page.title), style=style, poster=poster, script=script))
+        stream.write(_data("scene", "application/json", json.dumps(description, separators=(",", ":"), allow_nan=False)))
+        stream.writelines("\n" + _data(name, "text/plain", text) for name, text in workers.items())
+        held.seek(0)
+        shutil.copyfileobj(held, stream)
+        stream.write(tail)
+
+
+def _kept(stream: TextIO, name: str, data: bytes) -> dict[str, int]:
+    """Write a file as a block of data; returns what the description says of it."""
+    stream.write("\n" + _data(name, "text/plain", _base64(data)))
+    return {"bytes": len(data), "crc": zlib.crc32(data)}
 
 
 def player_files() -> dict[str, str]:

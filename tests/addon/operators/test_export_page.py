@@ -132,6 +132,45 @@ def test_a_compressed_file_is_taken_as_it_is(fg, pictures, moving, export, tmp_p
     assert export(quality='SMALL')[1]["model-0"] != files["model-0"]
 
 
+@pytest.mark.filterwarnings("ignore::UserWarning")
+@pytest.mark.parametrize("own", [False, True], ids=["one time", "own times"])
+def test_a_long_clip_is_written_piece_by_piece(scene, fg, module, pictures, moving, export, tmp_path, monkeypatch, own):
+    """Moved and coloured as its object is; what filters hide is left out, and no model of all chapters is made."""
+    model = fg.load(moving)
+    fg.save(fg.chapters(*[model] * (1 + own), frames=2), tmp_path / "long.safetensors", compress="fine")
+    bpy.ops.import_scene.fastgs(filepath=str(tmp_path / "long.safetensors"))
+    obj = bpy.context.object
+    for frame, x in ((1, 0.0), (8, 7.0)):
+        obj.location.x = x
+        obj.keyframe_insert("location", index=0, frame=frame)
+    obj.fastgs.exposure, obj.fastgs.after, obj.fastgs.trim_start = 1, 'LOOP', 2.0
+    clip = module("scene.objects").load_model(str(tmp_path / "long.safetensors"))
+    monkeypatch.setattr(type(clip), "whole", None)
+    description, files, _ = export()
+    first, *others = description["objects"]
+    assert [each["count"] for each in description["objects"]] == [piece.size for piece in clip.pieces] and len(files) == len(clip.pieces)
+    assert all(each["like"] == 0 and "places" not in each for each in others) and first["looks"][0][10] != 1
+    frames = clip.clip.frame_count
+    assert np.array(first["times"]) * frames == pytest.approx([(2 + k) if 2 + k < frames else k + 4 - frames for k in range(8)])
+    assert np.array(first["places"]).reshape(-1, 4, 4)[7, 0, 3] == pytest.approx(7)
+    for k, piece in enumerate(clip.pieces):
+        (tmp_path / "piece.safetensors").write_bytes(files[f"model-{k}"])
+        assert np.array_equal(fg.load(tmp_path / "piece.safetensors").position, piece.read().position), "as the file has them"
+    obj.fastgs.density = 0.5
+    hidden, files, _ = export()
+    assert all(each["count"] <= 0.5 * piece.size + 1 for each, piece in zip(hidden["objects"], clip.pieces, strict=True))
+    steps = []
+
+    def cancelled(*args):
+        steps.append(args)
+        raise InterruptedError
+
+    monkeypatch.setattr(module("fastgs_blender.formats.web.long"), "_file", cancelled)
+    with pytest.raises(RuntimeError):
+        export("other.html")
+    assert steps and not (tmp_path / "other.html").exists()
+
+
 @pytest.mark.skipif(not bpy.app.build_options.audaspace, reason="this Blender has no sound")
 def test_the_sound_of_the_sequencer_comes_along(scene, pictures, moving, export, tmp_path):
     bpy.ops.import_scene.fastgs(filepath=moving)

@@ -21,7 +21,8 @@ export async function openScene(description, payload, frame = 0, progress = () =
 export class Scene {
   constructor(description) {
     const numbers = (list, length) => Array.isArray(list) && list.length === length && list.every(Number.isFinite);
-    const { version, objects, frames, fps, background, pivot, up, opening, volumes = [] } = isTable(description) ? description : {};
+    const { version, objects: told, frames, fps, background, pivot, up, opening, volumes = [] } = isTable(description) ? description : {};
+    const objects = Array.isArray(told) ? told.map((each) => (isTable(each) && isTable(told[each.like]) ? { ...told[each.like], ...each } : each)) : told;
     const several = (list, good) => Array.isArray(list) && (list.length === 1 || list.length === frames) && list.every(good);
     const good = version === 1 && isCount(frames, 1e7) && frames > 0 && fps > 0 && [background, pivot, up].every((v) => numbers(v, 3))
       && isTable(opening) && several(opening.cameras, (camera) => isTable(camera) && numbers(camera.pose, 16))
@@ -31,7 +32,7 @@ export class Scene {
         && (each.sampling === null || isTable(each.sampling))
         && (!each.shown || (numbers(each.shown, 2) && numbers(each.clip, 2) && each.clip[1] > 0 && isCount(each.count, 2 ** 24))));
     if (!good) throw damaged("the description of its scene is of no version that it can play, or cut short");
-    Object.assign(this, { ...description, models: [], calls: null, before: [] });
+    Object.assign(this, { ...description, objects, models: [], calls: null, before: [] });
     this.volumes = volumes.map(({ side, depth }) => {
       const bytes = Uint8Array.from(atob(depth), (letter) => letter.charCodeAt(0));
       if (!(isCount(side, 256) && bytes.length === 4 * side ** 3)) throw damaged("a shape that crops it is cut short");
