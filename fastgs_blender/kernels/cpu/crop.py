@@ -62,4 +62,4 @@ def _depth(volumes, number, u, v, w):
 def in_ball(position, n, ball):
     """Whether the constant position of Gaussian n lies in a ball (centre, squared radius); an infinite one holds everything."""
     dx, dy, dz = position[n, 0] - ball[0], position[n, 1] - ball[1], position[n, 2] - ball[2]
-    return not (dx * dx + dy * dy + dz * dz > ball[3])
+    return dx * dx + dy * dy + dz * dz <= ball[3]

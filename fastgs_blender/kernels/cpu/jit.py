@@ -7,12 +7,10 @@ that the user may write to (cache.py).
 from __future__ import annotations
 
 import contextlib
-import math
 import os
 import threading
 
 import numba
-import numpy as np
 from numba.core.caching import FunctionCache
 from numba.core.runtime import rtsys
 
@@ -56,12 +54,6 @@ def kernel(function):
 
 inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never", forceinline=True)
 """Decorator of the small functions that kernels call; they always become part of them, whatever LLVM thinks of their size."""
-
-
-@inline
-def exp(x):
-    """exp in float32 (enough for what comes from float32), as float64."""
-    return np.float64(math.exp(np.float32(x)))
 
 
 _announced = threading.Event()

@@ -7,6 +7,7 @@ import numpy as np
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
 from ...rendering.looks import Look
 from .jit import inline
+from .lanes import where
 
 OPACITY, FAINTEST, SCALE, SMALLEST, LARGEST, SIZED, GRADED, LINEAR, FACTOR, POWER, MATRIX, _ = (int(place) for place in Look)
 
@@ -14,9 +15,7 @@ OPACITY, FAINTEST, SCALE, SMALLEST, LARGEST, SIZED, GRADED, LINEAR, FACTOR, POWE
 @inline
 def size_factor(scale, look):
     """What multiplies the standard deviations of a Gaussian with the largest one `scale`."""
-    if scale > 0.0:
-        return min(max(scale * look[SCALE], look[SMALLEST]), look[LARGEST]) / scale
-    return 1.0
+    return where(scale > 0.0, min(max(scale * look[SCALE], look[SMALLEST]), look[LARGEST]) / scale, 1.0)
 
 
 @inline

@@ -16,7 +16,8 @@ from ...rendering.distance import MARGIN, STEEP
 from ...rendering.instances import LIMIT
 from . import raster
 from .crop import crop_share, in_ball
-from .jit import exp, inline, kernel
+from .jit import inline, kernel
+from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .spherical import sh_colour
 from .temporal import temporal_factor
@@ -25,6 +26,10 @@ RGB, SH, FEATURES = range(3)
 REACH = oracle.REACH
 PIXEL = 4
 """Place of a view's pixel size in distance.Sampling.row."""
+BLOCK = 512
+"""Gaussians that are culled before what is left of them is projected."""
+LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
+"""Rows of what is made of eight Gaussians, after a splat's geometry."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -70,10 +75,9 @@ def _quaternion(constant, n, turn):
     qw, qx, qy, qz = turn
     qw, qx, qy, qz = qw + constant[n, 0], qx + constant[n, 1], qy + constant[n, 2], qz + constant[n, 3]
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
-    if norm <= 1e-12:
-        return 1.0, 0.0, 0.0, 0.0, 0.0
-    unit = 1.0 / norm
-    return qw * unit, qx * unit, qy * unit, qz * unit, norm
+    none = norm <= 1e-12
+    unit = where(none, 0.0, 1.0 / norm)
+    return where(none, 1.0, qw * unit), qx * unit, qy * unit, qz * unit, where(none, 0.0, norm)
 
 
 @inline
@@ -82,6 +86,13 @@ def _axes(qw, qx, qy, qz):
     return ((1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)),
             (2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx)),
             (2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy)))
+
+
+@inline
+def _in_camera(px, py, pz, row0, row1, row2, shift):
+    """A position in the camera's space."""
+    return (row0[0] * px + row0[1] * py + row0[2] * pz + shift[0], row1[0] * px + row1[1] * py + row1[2] * pz + shift[1],
+            row2[0] * px + row2[1] * py + row2[2] * pz + shift[2])
 
 
 @inline
@@ -110,18 +121,14 @@ def _turned(axis, row0, row1, row2, size):
 def _nearness(x, y, z, along_x, along_y, f0, f1, f2):
     """oracle.nearness of a Gaussian beside the picture, from the columns of its factor in the camera."""
     deep = math.sqrt(f0[2] * f0[2] + f1[2] * f1[2] + f2[2] * f2[2])
-    if not z < REACH * deep:
-        return 1.0 / z
     share = min(REACH - z / deep, 1.0)
     s0, s1, s2 = _cross(f1, f2), _cross(f2, f0), _cross(f0, f1)
     a0, a1, a2 = (s0[0] * along_x + s0[1] * along_y + s0[2], s1[0] * along_x + s1[1] * along_y + s1[2],
                   s2[0] * along_x + s2[1] * along_y + s2[2])
     square = a0 * a0 + a1 * a1 + a2 * a2
-    densest = z
-    if square > 0.0:
-        densest = max((a0 * (s0[0] * x + s0[1] * y + s0[2] * z) + a1 * (s1[0] * x + s1[1] * y + s1[2] * z)
-                       + a2 * (s2[0] * x + s2[1] * y + s2[2] * z)) / square, 0.5 * z)
-    return (1.0 - share) / z + share / densest
+    densest = max((a0 * (s0[0] * x + s0[1] * y + s0[2] * z) + a1 * (s1[0] * x + s1[1] * y + s1[2] * z)
+                   + a2 * (s2[0] * x + s2[1] * y + s2[2] * z)) / square, 0.5 * z)
+    return where(z < REACH * deep, (1.0 - share) / z + share / where(square > 0.0, densest, z), 1.0 / z)
 
 
 @inline
@@ -130,7 +137,8 @@ def _covariance(u, v, blur):
     u0, u1, u2 = u
     v0, v1, v2 = v
     s00, s01, s11 = u0 * u0 + u1 * u1 + u2 * u2, u0 * v0 + u1 * v1 + u2 * v2, v0 * v0 + v1 * v1 + v2 * v2
-    sharp = (u1 * v2 - u2 * v1) ** 2 + (u2 * v0 - u0 * v2) ** 2 + (u0 * v1 - u1 * v0) ** 2
+    normal0, normal1, normal2 = _cross(u, v)
+    sharp = normal0 * normal0 + normal1 * normal1 + normal2 * normal2
     return s00 + blur, s01, s11 + blur, sharp, sharp + blur * (s00 + s11) + blur * blur
 
 
@@ -167,18 +175,18 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
     along_u, along_v = d0 * u[0] + d1 * u[1] + d2 * u[2], d0 * v[0] + d1 * v[1] + d2 * v[2]
     x, y = (s11 * along_u - s01 * along_v) / det, (s00 * along_v - s01 * along_u) / det
     change = abs(x) * radius_x + abs(y) * radius_y
-    if change > z:
-        x, y = x * (z / change), y * (z / change)
-    if not (abs(x) < np.inf and abs(y) < np.inf):
-        return 0.0, 0.0
-    return x, y
+    less = where(change > z, z / change, 1.0)
+    x, y = x * less, y * less
+    finite = (abs(x) < np.inf) & (abs(y) < np.inf)
+    return where(finite, x, 0.0), where(finite, y, 0.0)
 
 
 @inline
 def coarsest(px, py, pz, row):
     """distance.Sampling.coarsest() of one Gaussian; row: Sampling.row."""
     cx, cy, cz, radius, _, coarse, least, _, _ = row
-    return max(least, coarse * (radius + math.sqrt((px - cx) ** 2 + (py - cy) ** 2 + (pz - cz) ** 2)))
+    x, y, z = px - cx, py - cy, pz - cz
+    return max(least, coarse * (radius + math.sqrt(x * x + y * y + z * z)))
 
 
 @inline
@@ -187,19 +195,57 @@ def _blurs(px, py, pz, depth, largest, blur, sampling):
     row, cameras = sampling
     _, _, _, _, pixel, _, least, reach, fades = row
     size, found = pixel * depth, coarsest(px, py, pz, row)
-    if size > MARGIN * found:
-        return blur, blur * (MARGIN * found / size) ** 2 if fades > 0.0 else blur
+    far, fainter = size > MARGIN * found, MARGIN * found / size
     for i in range(len(cameras)):
-        if not found > MARGIN * size:
+        if not anywhere(found > MARGIN * size):
             break
         x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
         along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
-        near = abs(along) * cameras[i, 3]
-        if near < found:
-            r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
-            found = min(found, near + STEEP * max((r - reach * largest) * cameras[i, 7] - along, 0.0) * cameras[i, 3])
+        r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
+        outside = max((r - reach * largest) * cameras[i, 7] - along, 0.0)
+        found = min(found, (abs(along) + STEEP * outside) * cameras[i, 3])
     finer = max(max(found, least) / (MARGIN * size), 1.0)
-    return blur * finer * finer, blur * finer * finer
+    return where(far, blur, blur * finer * finer), where(far, blur * fainter * fainter if fades > 0.0 else blur, blur * finer * finer)
+
+
+@inline
+def _opaque(first, last, boxes, look, arrays, times, view, lens, alpha_cut, number, found):
+    """The Gaussians of first..last that are opaque enough at this time and lie between the planes of the camera; returns how many.
+
+    Writes which they are into number, and their opacity and place into found [4, BLOCK + LANES].
+    """
+    crops, ball, hidden = boxes
+    position, _, _, opacity, _, motion, _, mu_tau, temporal = arrays
+    t, temporal_code, (index, weights, centred), _ = times
+    (row0, row1, row2, shift, _), near, far = view, lens[4], lens[5]
+    hides, filtered, count = len(crops[1]) > 0, len(hidden) > 0, 0
+    for begin in range(first, last, LANES):
+        n = following(begin, last)
+        faintness = 1.0 + exp(-opacity[n])
+        sigma = temporal_factor(temporal_code, t, mu_tau[n], temporal, n) / faintness * look[OPACITY]
+        alive = in_ball(position, n, ball) & (faintness <= look[FAINTEST]) & (sigma >= alpha_cut)
+        if not anywhere(alive):
+            continue
+        px, py, pz = _moved3(motion, n, index, weights, centred, t - mu_tau[n])
+        px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        _, _, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        put(found, 0, count, sigma)
+        put(found, 1, count, px)
+        put(found, 2, count, py)
+        put(found, 3, count, pz)
+        lanes, begun = bits(alive & (z > near) & (z <= far)), count
+        for lane in range(min(LANES, last - begin)):
+            if not lanes >> lane & 1 or (filtered and hidden[begin + lane]):
+                continue
+            for row in range(4):
+                found[row, count] = found[row, begun + lane]
+            if hides:
+                found[0, count] *= crop_share(found[1, count], found[2, count], found[3, count], crops)
+                if not (found[0, count] >= alpha_cut):
+                    continue
+            number[count] = begin + lane
+            count += 1
+    return count
 
 
 @kernel
@@ -219,125 +265,128 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     geometry, attributes, depth   of the splats, see raster.py
     source     int32: which Gaussian each row is
     """
-    crops, ball, hidden = boxes
-    position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal = arrays
-    t, temporal_code, (m_index, m_weights, m_centred), (r_index, r_weights, r_centred) = times
-    fx, fy, _, _, near, far, _, _, _, _, left, right, top, bottom = lens
+    _, rotation, scale, _, features, _, rotation_motion, mu_tau, _ = arrays
+    t, _, _, (r_index, r_weights, r_centred) = times
+    fx, fy, _, _, _, _, _, _, _, _, left, right, top, bottom = lens
     trained_blur, alpha_max, alpha_cut, antialiased, orthographic, sampling, bends = constants
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
-    log2_cut, sized, graded, opaqueness = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, look[OPACITY]
-    hides, filtered, sampled = len(crops[1]) > 0, len(hidden) > 0, sampling[0][PIXEL] > 0.0
+    log2_cut, sized, graded, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, sampling[0][PIXEL] > 0.0
+    number, found, made = np.empty(BLOCK, np.int64), np.empty((4, BLOCK + LANES)), np.empty((PLANE + 3, LANES))
     out = first
-    for n in range(np.uintp(first), np.uintp(last)):
-        if (filtered and hidden[n]) or not in_ball(position, n, ball):
-            continue
-        faintness = 1.0 + exp(-opacity[n])
-        if faintness > look[FAINTEST]:
-            continue
-        sigma = temporal_factor(temporal_code, t, np.float64(mu_tau[n]), temporal, n) / faintness * opaqueness
-        if not (sigma >= alpha_cut):
-            continue
-        delta = t - np.float64(mu_tau[n])
-        px, py, pz = _moved3(motion, n, m_index, m_weights, m_centred, delta)
-        px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        if hides:
-            sigma *= crop_share(px, py, pz, crops)
-            if not (sigma >= alpha_cut):
+    for begin in range(first, last, BLOCK):
+        count = _opaque(begin, min(begin + BLOCK, last), boxes, look, arrays, times, rows_of(view), lens, alpha_cut, number, found)
+        for k in range(0, count, LANES):
+            n = picked(number, k, count)
+            sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
+            x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+            delta = t - mu_tau[n]
+            qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
+            mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
+            # columns of the rotation matrix, turned into the camera, projected and scaled
+            axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
+            scale0, scale1, scale2 = exp(scale[n, 0]), exp(scale[n, 1]), exp(scale[n, 2])
+            largest = max(scale0, scale1, scale2)
+            resized = size_factor(largest, look) if sized else 1.0
+            if bends and not orthographic:
+                beside = (a02 != -(x / z)) | (a12 != -(y / z))
+                if anywhere(beside):
+                    near_by = where(beside, _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, scale0 * resized),
+                                                      _turned(axis1, row0, row1, row2, scale1 * resized),
+                                                      _turned(axis2, row0, row1, row2, scale2 * resized)), per_depth)
+                    moved = near_by != per_depth
+                    mx = where(moved, fx * ((x + a02 * z) * near_by - a02) + lens[2], mx)
+                    my = where(moved, fy * ((y + a12 * z) * near_by - a12) + lens[3], my)
+                    per_depth = near_by
+            u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
+            u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
+            u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
+            unit = per_depth
+            if sized:
+                unit *= resized
+            size0, size1, size2 = scale0 * unit, scale1 * unit, scale2 * unit
+            u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
+            blur, small = trained_blur, trained_blur
+            if sampled:
+                blur, small = _blurs(px, py, pz, 1.0 if orthographic else z, largest * resized, trained_blur, sampling)
+            s00, s01, s11, sharp, det = _covariance(u, v, blur)
+            alive = (det > 0.0) & (s00 + s11 < np.inf)
+            if antialiased:
+                sigma *= math.sqrt(sharp / det)
+                alive &= sigma >= alpha_cut
+            log2_sigma = log2(sigma)
+            reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
+            radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
+            alive &= (mx + radius_x >= left) & (mx - radius_x <= right) & (my + radius_y >= top) & (my - radius_y <= bottom)
+            if not anywhere(alive):
                 continue
-        x = row0[0] * px + row0[1] * py + row0[2] * pz + shift[0]
-        y = row1[0] * px + row1[1] * py + row1[2] * pz + shift[1]
-        z = row2[0] * px + row2[1] * py + row2[2] * pz + shift[2]
-        if not (z > near and z <= far):
-            continue
+            if sampled:
+                faded = small < blur
+                area = sharp + small * (s00 + s11 - 2.0 * blur) + small * small
+                faint = where(faded, 0.5 * log2(where(faded, area / det, 1.0)), 0.0)
+                alive &= (area > 0.0) | (small >= blur)
+                put(made, LOG2_CUT, 0, log2_cut + faint)
+                log2_sigma += faint
+            root = math.sqrt(s11)
+            l22, whole = SCALE / root, 1.0 / math.sqrt(det)
+            put(made, raster.MEAN_X, 0, mx)
+            put(made, raster.MEAN_Y, 0, my)
+            put(made, raster.L11, 0, SCALE * root * whole)
+            put(made, raster.L21, 0, -s01 * l22 * whole)
+            put(made, raster.L22, 0, l22)
+            put(made, LOG2_OPACITY, 0, log2_sigma)
+            put(made, RADIUS_X, 0, radius_x + 1e-3)
+            put(made, RADIUS_Y, 0, radius_y + 1e-3)
+            put(made, DEPTH, 0, z)
+            put(made, DELTA, 0, delta)
+            if plane_channel >= 0:
+                d0, d1, d2 = _depths(axis0, axis1, axis2, row2, size0 / per_depth, size1 / per_depth, size2 / per_depth)
+                less, area = (0.0, det) if blurred else (blur, sharp)
+                slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
+                put(made, PLANE, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))
+                put(made, PLANE + 1, 0, slope_x)
+                put(made, PLANE + 2, 0, slope_y)
 
-        qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
-        mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
-        # columns of the rotation matrix, turned into the camera, projected and scaled
-        axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
-        resized = size_factor(exp(max(scale[n, 0], scale[n, 1], scale[n, 2])), look) if sized else 1.0
-        if bends and not orthographic and (a02 != -(x / z) or a12 != -(y / z)):
-            near_by = _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, exp(scale[n, 0]) * resized),
-                                _turned(axis1, row0, row1, row2, exp(scale[n, 1]) * resized),
-                                _turned(axis2, row0, row1, row2, exp(scale[n, 2]) * resized))
-            if near_by != per_depth:
-                per_depth = near_by
-                mx, my = fx * ((x + a02 * z) * per_depth - a02) + lens[2], fy * ((y + a12 * z) * per_depth - a12) + lens[3]
-        u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
-        u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
-        u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
-        unit = per_depth
-        if sized:
-            unit *= resized
-        size0, size1, size2 = exp(scale[n, 0]) * unit, exp(scale[n, 1]) * unit, exp(scale[n, 2]) * unit
-        u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
-        blur, small = trained_blur, trained_blur
-        if sampled:
-            largest = exp(max(scale[n, 0], scale[n, 1], scale[n, 2])) * resized
-            blur, small = _blurs(px, py, pz, 1.0 if orthographic else z, largest, trained_blur, sampling)
-        s00, s01, s11, sharp, det = _covariance(u, v, blur)
-        if not (det > 0.0 and s00 + s11 < np.inf):
-            continue
-        if antialiased:
-            sigma *= math.sqrt(sharp / det)
-            if not (sigma >= alpha_cut):
-                continue
-        log2_sigma = np.float64(math.log2(np.float32(sigma)))
-        reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
-        radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
-        if not (mx + radius_x >= left and mx - radius_x <= right and my + radius_y >= top and my - radius_y <= bottom):
-            continue
-
-        if appearance == SH:
-            dx, dy, dz, _ = _direction(px, py, pz, eye, orthographic)
-            sh_colour(features, n, degree, dx, dy, dz, terms, colour)
-        elif graded:
-            for c in range(3):
-                colour[c] = features[n, c]
-        if graded:
-            grade(colour, look)
-        good = True
-        for c in range(raster.CHANNEL, attributes.shape[1]):
-            attributes[out, c] = float32(0.0)
-        for c in range(9 if appearance == FEATURES else 3):
-            value = colour[c] if appearance == SH or graded else np.float64(features[n, c])
-            if c >= 6:
-                value *= delta
-            good = good and abs(value) <= LIMIT
-            attributes[out, raster.CHANNEL + channel + c] = value
-        if not good:
-            continue
-        if weight_channel >= 0:
-            attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
-        if depth_channel >= 0:
-            attributes[out, raster.CHANNEL + depth_channel] = z
-        if plane_channel >= 0:
-            d0, d1, d2 = _depths(axis0, axis1, axis2, row2, size0 / per_depth, size1 / per_depth, size2 / per_depth)
-            less, area = (0.0, det) if blurred else (blur, sharp)
-            slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
-            plane = raster.CHANNEL + plane_channel
-            attributes[out, plane] = z - slope_x * (mx - middle_x) - slope_y * (my - middle_y)
-            attributes[out, plane + 1] = slope_x
-            attributes[out, plane + 2] = slope_y
-        faint = 0.0
-        if small < blur:
-            faint = 0.5 * math.log2((sharp + small * (s00 + s11 - 2.0 * blur) + small * small) / det)
-            if not faint > -np.inf:
-                continue
-        root = math.sqrt(s11)
-        l22, whole = SCALE / root, 1.0 / math.sqrt(det)
-        geometry[out, raster.MEAN_X] = mx
-        geometry[out, raster.MEAN_Y] = my
-        geometry[out, raster.L11] = SCALE * root * whole
-        geometry[out, raster.L21] = -s01 * l22 * whole
-        geometry[out, raster.L22] = l22
-        attributes[out, raster.LOG2_OPACITY] = log2_sigma + faint
-        attributes[out, raster.ALPHA_MAX] = alpha_max
-        attributes[out, raster.LOG2_CUT] = log2_cut + faint
-        attributes[out, raster.DEPTH] = z
-        attributes[out, raster.RADIUS_X] = radius_x + 1e-3
-        attributes[out, raster.RADIUS_Y] = radius_y + 1e-3
-        depth[out] = z
-        source[out] = n
-        out += 1
+            lanes = bits(alive)
+            for lane in range(min(LANES, count - k)):
+                if not lanes >> lane & 1:
+                    continue
+                i = number[k + lane]
+                if appearance == SH:
+                    dx, dy, dz, _ = _direction(found[1, k + lane], found[2, k + lane], found[3, k + lane], eye, orthographic)
+                    sh_colour(features, i, degree, dx, dy, dz, terms, colour)
+                elif graded:
+                    for c in range(3):
+                        colour[c] = features[i, c]
+                if graded:
+                    grade(colour, look)
+                good = True
+                for c in range(raster.CHANNEL, attributes.shape[1]):
+                    attributes[out, c] = float32(0.0)
+                for c in range(9 if appearance == FEATURES else 3):
+                    value = colour[c] if appearance == SH or graded else np.float64(features[i, c])
+                    if c >= 6:
+                        value *= made[DELTA, lane]
+                    good = good and abs(value) <= LIMIT
+                    attributes[out, raster.CHANNEL + channel + c] = value
+                if not good:
+                    continue
+                if weight_channel >= 0:
+                    attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
+                if depth_channel >= 0:
+                    attributes[out, raster.CHANNEL + depth_channel] = made[DEPTH, lane]
+                if plane_channel >= 0:
+                    for c in range(3):
+                        attributes[out, raster.CHANNEL + plane_channel + c] = made[PLANE + c, lane]
+                for c in range(5):
+                    geometry[out, c] = made[c, lane]
+                attributes[out, raster.LOG2_OPACITY] = made[LOG2_OPACITY, lane]
+                attributes[out, raster.ALPHA_MAX] = alpha_max
+                attributes[out, raster.LOG2_CUT] = made[LOG2_CUT, lane] if sampled else log2_cut
+                attributes[out, raster.DEPTH] = made[DEPTH, lane]
+                attributes[out, raster.RADIUS_X] = made[RADIUS_X, lane]
+                attributes[out, raster.RADIUS_Y] = made[RADIUS_Y, lane]
+                depth[out] = made[DEPTH, lane]
+                source[out] = i
+                out += 1
     return out - first

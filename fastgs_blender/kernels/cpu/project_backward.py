@@ -11,7 +11,8 @@ import numpy as np
 from numba import float32
 
 from . import raster
-from .jit import exp, inline, kernel
+from .jit import inline, kernel
+from .lanes import exp
 from .project import (
     FEATURES,
     SCALE,

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 from ...model.temporal import Radial, Window, WindowedRadial
-from .jit import exp, inline
+from .jit import inline
+from .lanes import exp
 
 RADIAL, WINDOW, RADIAL_WINDOW = Radial.code, Window.code, WindowedRadial.code
 

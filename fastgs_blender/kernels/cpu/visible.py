@@ -11,7 +11,8 @@ from ...rendering.culling import coarse_depths, heaviest, scale_bound, spread
 from ...rendering.distance import MARGIN
 from ...util.threads import ranges, run
 from .crop import crop_share, in_ball
-from .jit import exp, kernel
+from .jit import kernel
+from .lanes import exp
 from .look import FAINTEST, OPACITY, SIZED, size_factor
 from .project import PIXEL, _moved3, coarsest
 from .sort import order_by
