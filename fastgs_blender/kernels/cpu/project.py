@@ -44,28 +44,28 @@ def rows_of(view):
 @inline
 def _moved3(c, n, index, weights, centred, delta):
     """Sum of the weighted coefficients c[n] [K, 3]: with powers of delta, or of those listed, with their weights."""
-    x, y, z = 0.0, 0.0, 0.0
-    if centred:
-        for k in range(c.shape[1] - 1, -1, -1):
-            x, y, z = (x + c[n, k, 0]) * delta, (y + c[n, k, 1]) * delta, (z + c[n, k, 2]) * delta
-    else:
-        for m in range(len(index)):
-            w, k = weights[m], index[m]
-            x, y, z = x + w * c[n, k, 0], y + w * c[n, k, 1], z + w * c[n, k, 2]
+    x, y, z, w = 0.0, 0.0, 0.0, delta
+    for m in range(c.shape[1] if centred else len(index)):
+        k = m if centred else index[m]
+        if not centred:
+            w = weights[m]
+        x, y, z = x + w * c[n, k, 0], y + w * c[n, k, 1], z + w * c[n, k, 2]
+        if centred:
+            w *= delta
     return x, y, z
 
 
 @inline
 def _moved4(c, n, index, weights, centred, delta):
     """The same for c[n] [K, 4]."""
-    a, x, y, z = 0.0, 0.0, 0.0, 0.0
-    if centred:
-        for k in range(c.shape[1] - 1, -1, -1):
-            a, x, y, z = (a + c[n, k, 0]) * delta, (x + c[n, k, 1]) * delta, (y + c[n, k, 2]) * delta, (z + c[n, k, 3]) * delta
-    else:
-        for m in range(len(index)):
-            w, k = weights[m], index[m]
-            a, x, y, z = a + w * c[n, k, 0], x + w * c[n, k, 1], y + w * c[n, k, 2], z + w * c[n, k, 3]
+    a, x, y, z, w = 0.0, 0.0, 0.0, 0.0, delta
+    for m in range(c.shape[1] if centred else len(index)):
+        k = m if centred else index[m]
+        if not centred:
+            w = weights[m]
+        a, x, y, z = a + w * c[n, k, 0], x + w * c[n, k, 1], y + w * c[n, k, 2], z + w * c[n, k, 3]
+        if centred:
+            w *= delta
     return a, x, y, z
 
 

@@ -56,13 +56,29 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
     as which_tiles() tells.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays, and adds to changes
     [columns * rows + 1] by how much the number of a tile's splats differs from that of the tile before it.
     """
-    splat = np.empty(4 * (last - first) + 16, np.int32)
-    begin, end = np.empty_like(splat), np.empty_like(splat)
-    n, tile, (sums, after, before) = 0, 1 << shift, wanted
-    some = len(after) > 0
+    splat = np.empty(4 * (last - first) + rows, np.int32)
+    begin, end, n = np.empty_like(splat), np.empty_like(splat), 0
+    grid = tile_x, tile_y, columns, rows, shift
+    while True:
+        first, n = _spans(first, last, order, geometry, attributes, grid, wanted, changes, splat, begin, end, n)
+        if first == last:
+            return splat[:n], begin[:n], end[:n]
+        splat, begin, end = grown(splat, rows), grown(begin, rows), grown(end, rows)
+
+
+@inline
+def _spans(first, last, order, geometry, attributes, grid, wanted, changes, splat, begin, end, n):
+    """spans() from run n on, until splat, begin and end might not hold another splat's; returns the first splat that is left, and n.
+
+    Apart from it, as numba counts references to arrays that a loop replaces, for every splat.
+    """
+    (tile_x, tile_y, columns, rows, shift), (sums, after, before) = grid, wanted
+    tile, some = 1 << shift, len(after) > 0
     # from here on in pixels from the centre of the first tile's first pixel
     right_most, bottom_most = columns * tile - 1.0, rows * tile - 1.0
     for k in range(first, last):
+        if n + rows > len(splat):
+            return k, n
         i = np.intp(order[k])
         ahead = np.intp(order[min(k + AHEAD, last - 1)])
         prefetch(geometry, ahead)
@@ -81,8 +97,6 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
             a, b, c = 1.0 / geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
             square = np.float64(attributes[i, raster.LOG2_OPACITY]) - np.float64(attributes[i, raster.LOG2_CUT])
             peak = b * math.sqrt(square) / (c * math.sqrt(b * b + c * c))
-        if n + bottom - top >= len(splat):
-            splat, begin, end = grown(splat, bottom - top), grown(begin, bottom - top), grown(end, bottom - top)
         for row in range(top, bottom + 1):
             one, other = row * columns + left, row * columns + right
             if some:
@@ -106,7 +120,7 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
             changes[one] += 1
             changes[other + 1] -= 1
             n += 1
-    return splat[:n], begin[:n], end[:n]
+    return last, n
 
 
 @inline
