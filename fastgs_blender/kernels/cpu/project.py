@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Slice, cull and project, fused: one pass over a model's arrays at one time, for one camera.
 
-A Gaussian that is not opaque enough at this time, lies before the near plane or off the window leaves the pass as early as
-possible.  Arithmetic is float64: arrays are float32, but far or long thin splats need the precision.
+A Gaussian that is not opaque enough at this time or not before the camera is left out first; the rest are computed eight at a time
+(lanes.py).  Arithmetic is float64: arrays are float32, but far or long thin splats need the precision.
 """
 from __future__ import annotations
 
