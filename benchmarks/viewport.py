@@ -10,8 +10,10 @@
                 splats and with the share that is drawn by default; Solid must not take more than 1.3 times as long
 * still         a redraw in which nothing has changed, in Solid shading
 * playback      frames a second, drawn one after the other as fast as they come
-* orbit         1 M still Gaussians, the camera moves: the main thread's own time for a redraw; how much later than on an idle process it
-                wakes while the thread sorts, which includes waiting for Python's lock; orders exact and in motion; what is held
+* orbit         1 M still Gaussians, the camera moves: the main thread's own time for a redraw; orders exact and in motion; what is held;
+                and the longest time for which a sort keeps Python's lock from the main thread, which asks for it all the while.  It is
+                counted in processor time of the sorting thread.  On a busy machine most waits are for a processor, in steps of 4 ms,
+                so the sort in which the longest wait was shortest tells; the median is given beside it (Linux alone)
 * stages        what diagnostics report: each stage of a picture until the GPU has done it
 
 Needs a Python with Blender's bpy, and an EGL driver.
@@ -19,6 +21,7 @@ Needs a Python with Blender's bpy, and an EGL driver.
 from __future__ import annotations
 
 import argparse
+import ctypes
 import importlib
 import json
 import os
@@ -107,11 +110,17 @@ class Stopwatch:
         self.processor += time.thread_time() - processor
 
 
-def wake(milliseconds: float = 1.0) -> float:
-    """By how many milliseconds this thread wakes too late."""
-    start = time.perf_counter()
-    time.sleep(1e-3 * milliseconds)
-    return 1e3 * (time.perf_counter() - start) - milliseconds
+class Lock:
+    """Asks for Python's lock again and again while another thread works."""
+
+    def __init__(self, thread):
+        self.clock = time.pthread_getcpuclockid(thread.ident)
+        self.library, self.then = ctypes.CDLL(None), (ctypes.c_long * 2)()
+
+    def wait(self) -> float:
+        """Milliseconds of processor that the other thread used while this one waited for the lock."""
+        self.library.clock_gettime(self.clock, self.then)  # what is called so holds no lock, and waits for it when it is done
+        return 1e3 * (time.clock_gettime(self.clock) - self.then[0]) - 1e-6 * self.then[1]
 
 
 def playback(fg, model, frames: int, orbit: float | None = None) -> dict:
@@ -135,7 +144,7 @@ def playback(fg, model, frames: int, orbit: float | None = None) -> dict:
     shaders.splats = lambda *kind: (pairs[0][0], watches[0])
     shaders.resolve = lambda *kind: (pairs[1][0], watches[1])
     offscreen = gpu.types.GPUOffScreen(*SIZE, format='RGBA16F')
-    own, processor, sent, order, hurried, late = [], [], [], [], [], []
+    own, processor, sent, order, hurried, held = [], [], [], [], [], []
     with offscreen.bind():
         for number in range(frames + 2):
             at = float(number if orbit is None else 1)
@@ -152,20 +161,22 @@ def playback(fg, model, frames: int, orbit: float | None = None) -> dict:
             processor.append(time.thread_time() - start_processor - sum(w.processor for w in watches))
             sent.append(textures.Sent.bytes - bytes_before)
             gpu.state.active_framebuffer_get().read_color(0, 0, 1, 1, 4, 0, 'FLOAT')  # until the picture is there
+            lock = Lock(thread._thread) if thread._thread and hasattr(time, "pthread_getcpuclockid") else None
+            longest = 0.0
             while shown.waiting:
-                late.append(wake())
+                longest = max(longest, lock.wait() if lock else 0.0)
+            held.append(longest)
         standing = {}
         for share, kept, times in [(1.0, None, order)] * 9 + [(orbit or 1.0, standing, hurried)] * 10:
             start = time.process_time()
             sorting.sort(moment, camera, share, textures_of_all, kept)
             times.append(time.process_time() - start)
-        idle = [wake() for _ in range(len(late))]
     thread.stop()
     path.unlink()
     importlib.reload(shaders)  # without the stopwatches
     return {"first frame": 1e3 * own[0], "main thread": [1e3 * x for x in own[2:]],
             "processor": [1e3 * x for x in processor[2:]], "upload": sent[2:], "order": [1e3 * x for x in order],
-            "in motion": [1e3 * x for x in hurried[1:]], "late": late, "idle": idle,
+            "in motion": [1e3 * x for x in hurried[1:]], "lock": held[2:],
             "held": {"atlas": textures_of_all.nbytes, "standing": sum(a.nbytes for entry in standing.values() for a in entry)}}
 
 
@@ -261,8 +272,8 @@ def main():
             "orbit: main thread, processor ms, median": statistics.median(orbit["processor"]),
             "orbit: main thread, processor ms, 95 %": float(np.percentile(orbit["processor"], 95)),
             "orbit: upload, MB": max(orbit["upload"]) / 1e6,
-            "orbit: wakes late while sorting, ms, 95 %": float(np.percentile(orbit["late"], 95)),
-            "orbit: wakes late while idle, ms, 95 %": float(np.percentile(orbit["idle"], 95)),
+            "orbit: lock held at a time, ms, at most": min(orbit["lock"]),
+            "orbit: longest wait for it, ms, median": statistics.median(orbit["lock"]),
             "orbit: exact order, processor ms": statistics.median(orbit["order"]),
             "orbit: order in motion, processor ms": statistics.median(orbit["in motion"]),
             "orbit: atlas, MB": orbit["held"]["atlas"] / 1e6, "orbit: kept for motion, MB": orbit["held"]["standing"] / 1e6}
