@@ -32,7 +32,7 @@ def changed(scene, depsgraph) -> None:
 
     Not at once: Blender 5.2 crashes if objects are linked here while the compositor shows another scene.  A render does not wait for it.
     """
-    if depsgraph.mode == 'VIEWPORT' and any(each.fastgs.render_meshes != 'OFF' for each in bpy.data.scenes):
+    if depsgraph.mode == 'VIEWPORT' and any(each.fastgs.render_meshes != 'OFF' or mesh_scene.MADE in each for each in bpy.data.scenes):
         _settle_later()
 
 
@@ -52,16 +52,19 @@ def _settle_later():
 def _settle_all():
     if _rendering():
         return PATIENCE
+    for other in mesh_scene.left_over():
+        mesh_scene.remove(other)
     for scene in [scene for scene in bpy.data.scenes if not mesh_scene.is_one(scene)]:
         _settle(scene)
     return None
 
 
 def _settle(scene):
-    if scene.fastgs.render_meshes == 'OFF' and mesh_scene.of(scene) is not None:
+    other = mesh_scene.of(scene)
+    if scene.fastgs.render_meshes == 'OFF' and other is not None:
         passes_file.follow(scene)
         joins.part(scene)
-        mesh_scene.remove(scene)
+        mesh_scene.remove(other)
         _renew_passes(scene)
     follow(scene)
 

@@ -6,7 +6,7 @@ Where meshes hide splats, splats + meshes x the light that the holdout stops; el
 the meshes what these have of a lamp's light, and the meshes' shadows, caught by shadow catchers, from the splats.
 
 At the edge of a mesh before splats before another mesh, the pixel's colour of the meshes is a mixture, and half of it belongs behind the
-splats.  There the hidden colour is taken out, with the colours that both meshes have beside the edge.
+splats.  There the hidden colour is taken out, as it is beside the edge.
 """
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ TINY = 1e-6
 """Light without which shadows take nothing."""
 WHOLE = 0.99
 """Light of a pixel from which on meshes have stopped all of it."""
-REACH, FAR = 3, 32
-"""Pixels around a sharp edge, and around a blurred one, in which colours are looked for."""
+LITTLE = 0.25
+"""Of a colour, by which noise and the filters of other engines change a pixel of an edge at most."""
+REACH, AROUND, NEAR = 3, 16, 8
+"""Pixels around one in which a mesh before the splats counts, the splats' opacity is looked for, and what they hide."""
 HELD = 0.2
 """Light of a pixel that meshes stop beyond what they cover, from which on some of it is a holdout's; from twice as much on all is."""
-SHARP = 0.95
-"""Share of the opacity of splats far around that those nearby have at a sharp edge."""
 
 
 def shade(tree: bpy.types.NodeTree) -> None:
@@ -98,8 +98,7 @@ def join(tree: bpy.types.NodeTree) -> None:
     beyond = math('SUBTRACT', math('DIVIDE', given["Splat Holdout"], math('SUBTRACT', 1.0, given["Splat Alpha"])), given["Mesh Alpha"])
     own = math('MULTIPLY', math('DIVIDE', math('SUBTRACT', beyond, HELD), HELD, clamp=True), given["Held Out"])
     factor = math('MULTIPLY', factor, math('SUBTRACT', 1.0, math('MULTIPLY', own, math('SUBTRACT', 1.0, given["Mesh Alpha"]))))
-    held = _clean(b, _alpha(b, 'Apply Mask', meshes, factor), meshes, math('MULTIPLY', given["Mesh Alpha"], factor))
-    front = _over(b, held, splats)
+    front = _clean(b, _over(b, _alpha(b, 'Apply Mask', meshes, factor), splats), splats, meshes)
     back = _over(b, splats, meshes)
     nearer = b.node('CompositorNodeZcombine', (front, math('MULTIPLY', given["Splat Depth"], free), back, given["Mesh Depth"]))
     if hasattr(nearer, "use_alpha"):
@@ -124,35 +123,42 @@ def _begin(tree, sockets) -> Builder:
     return Builder(tree)
 
 
-def _clean(b: Builder, held, meshes, cover):
-    """The meshes' part of a pixel, its alpha being cover, without what at edges belongs behind splats.
+def _clean(b: Builder, front, splats, meshes):
+    """The picture of splats over meshes without what at a first mesh's edges belongs behind the splats.
 
-    Where the first mesh is whole beside the edge: splats of the opacity a around it show in the pixel with alpha, so (1 - a) of the
-    mixture is right, and a - alpha is the first mesh's alone.  Where it is not, because it is thin or blurred: the mixture without alpha
-    of the hidden mesh, whose colour is that of the pixels in which it lies behind splats.
+    The pixel's colour of the meshes is a mixture, of which splats of opacity a cover the hidden part alone.  They show with alpha, so that
+    the first mesh is alone in 1 - alpha / a of the pixel, and the colours must differ by alpha (mixture - hidden colour).  The hidden
+    colour is that of pixels around in which the first mesh has little part.
     """
-    given, math = b.given, b.math
-    near, alpha = _around(b, given["Mesh Depth"], -REACH), given["Splat Alpha"]
-    whole = math('GREATER_THAN', _around(b, given["Splat Holdout"], -1), WHOLE)  # other engines' pixels reach into their neighbours
-    between = math('LESS_THAN', near, given["Splat Depth"])
-    edge = math('MULTIPLY', between, math('SUBTRACT', 1.0, whole))
+    given, math, alpha = b.given, b.math, b.given["Splat Alpha"]
+    rest = math('DIVIDE', alpha, _around(b, alpha, AROUND), clamp=True)
+    weight, rest = math('POWER', rest, 8.0), math('POWER', rest, 3.0)
+    shown = _alpha(b, 'Apply Mask', meshes, weight)
+    seen = _alpha(b, 'Apply Mask', _blurred(b, shown, NEAR), math('DIVIDE', 1.0, _blurred(b, weight, NEAR)))
+    hidden = _mix(b, 'MIX', rest, seen, meshes)  # whose alpha depends on the version of Blender
+    covered = b.node('CompositorNodeSeparateColor', (seen,)).outputs["Alpha"]
+    covered = math('ADD', math('MULTIPLY', covered, math('SUBTRACT', 1.0, rest)), math('MULTIPLY', given["Mesh Alpha"], rest))
+    between = math('LESS_THAN', _around(b, given["Mesh Depth"], -REACH), given["Splat Depth"])
+    share = math('MULTIPLY', alpha, between)
+    straight = math('DIVIDE', covered, given["Mesh Alpha"])
+    gained = _alpha(b, 'Apply Mask', meshes, math('MULTIPLY', share, straight))
+    clean = _mix(b, 'SUBTRACT', 1.0, _mix(b, 'ADD', 1.0, front, gained), _alpha(b, 'Apply Mask', hidden, share))
+    clean = _mix(b, 'LIGHTEN', 1.0, clean, splats)
 
-    behind = math('SUBTRACT', 1.0, between)
-    weight = math('ADD', _blurred(b, behind, FAR), 0.0)
-    hidden = _alpha(b, 'Apply Mask', _blurred(b, _alpha(b, 'Apply Mask', meshes, behind), FAR), math('DIVIDE', alpha, weight))
-    rest = _mix(b, 'LIGHTEN', 1.0, (0.0, 0.0, 0.0, 1.0), _mix(b, 'SUBTRACT', 1.0, meshes, hidden))
-    rest = _alpha(b, 'Apply Mask', rest, math('DIVIDE', 1.0, math('SUBTRACT', 1.0, alpha)))
-    known = math('MULTIPLY', edge, math('GREATER_THAN', weight, FAINT))
-    blurred = _mix(b, 'MIX', known, held, _alpha(b, 'Replace Alpha', rest, cover))
-
+    # the light that a whole part of the first mesh beside the pixel stops has its colour; a little of the rest is noise and other filters
+    held = given["Splat Holdout"]
+    whole = math('GREATER_THAN', _around(b, held, -1), WHOLE)
     first = math('LESS_THAN', given["Mesh Depth"], _around(b, given["Splat Depth"], -REACH))
-    own = _blurred(b, _alpha(b, 'Apply Mask', meshes, math('MULTIPLY', first, whole)), REACH)
-    found = b.node('CompositorNodeSeparateColor', (own,)).outputs["Alpha"]
-    around = _around(b, alpha, REACH)
-    sharp = math('GREATER_THAN', around, math('MULTIPLY', _around(b, alpha, FAR), SHARP))
-    share = math('DIVIDE', math('SUBTRACT', around, alpha), given["Splat Holdout"], clamp=True)
-    sharply = _mix(b, 'MIX', math('MULTIPLY', share, edge), held, _alpha(b, 'Apply Mask', own, math('DIVIDE', cover, found)))
-    return _mix(b, 'MIX', math('MULTIPLY', sharp, math('GREATER_THAN', found, FAINT)), blurred, sharply)
+    known = _blurred(b, _alpha(b, 'Apply Mask', meshes, math('MULTIPLY', first, whole)), REACH)
+    found = b.node('CompositorNodeSeparateColor', (known,)).outputs["Alpha"]
+    sharp = _mix(b, 'ADD', 1.0, splats, _alpha(b, 'Apply Mask', known, math('DIVIDE', held, found)))
+    change = b.node('CompositorNodeSeparateColor', (_mix(b, 'DIFFERENCE', 1.0, sharp, clean),)).outputs
+    change = math('MAXIMUM', math('MAXIMUM', change[0], change[1]), change[2])
+    stopped = math('DIVIDE', math('SUBTRACT', _around(b, alpha, REACH), alpha), held, clamp=True)
+    for condition in (between, covered, math('LESS_THAN', change, LITTLE), math('GREATER_THAN', found, FAINT)):
+        stopped = math('MULTIPLY', stopped, condition)
+    opaque = b.node('CompositorNodeSeparateColor', (front,)).outputs["Alpha"]
+    return _alpha(b, 'Replace Alpha', _mix(b, 'MIX', stopped, clean, sharp), opaque)
 
 
 def _around(b: Builder, number, pixels: int):

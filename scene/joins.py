@@ -12,7 +12,7 @@ from ..fastgs_blender.rendering.passes import PASSES
 from . import composite_nodes, holdout, mesh_scene, shadows
 
 MESHES, JOIN, SHADE, RELIGHT = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade", "FAST-GS Relight"
-VERSION = 4
+VERSION = 5
 """Value of a group's mark; groups with another one were made by an older version of the extension, and are made anew."""
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""

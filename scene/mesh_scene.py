@@ -11,10 +11,14 @@ import bpy
 from . import holdout, light_probe, objects, shadows
 
 RAYS = ("camera", "diffuse", "glossy", "transmission", "volume_scatter", "shadow")
-SHARED = ("frame_start", "frame_end", "frame_step", "camera", "background_set", "active_clip")
+SHARED = ("frame_start", "frame_end", "frame_step", "camera", "active_clip", "gravity", "use_gravity", "use_custom_simulation_range",
+          "simulation_frame_start", "simulation_frame_end")
 """Properties of a scene itself that both have alike."""
 OWN = ("engine", "film_transparent", "use_compositing", "use_sequencer", "filepath")
 """Render settings that the scene of the meshes has for itself."""
+
+MADE = "fastgs_meshes"
+"""Custom property of a scene that was made here."""
 
 
 def light_group(i: int) -> str:
@@ -36,7 +40,9 @@ def follow(scene, engine: str) -> bpy.types.Scene:
     """Make the scene of the meshes, or bring it into step; engine: Blender's name of what renders it."""
     other = of(scene) or _new(scene)
     for name in SHARED:
-        _set(other, name, getattr(scene, name))
+        if hasattr(scene, name):
+            _set(other, name, getattr(scene, name))
+    _follow_bodies(scene, other)
     for part in ("display_settings", "view_settings", "unit_settings"):
         _copy(getattr(scene, part), getattr(other, part))
     _copy(scene.render, other.render, OWN)
@@ -63,12 +69,15 @@ def follow_sub_frame(scene) -> None:
             other.frame_float = scene.frame_current + scene.frame_subframe
 
 
-def remove(scene) -> None:
-    """Take away the scene of the meshes; what it shows belongs to the other one and stays."""
-    other = of(scene)
-    if other is not None:
-        light_probe.remove(other)
-        bpy.data.scenes.remove(other)
+def remove(other) -> None:
+    """Take away a scene of meshes; what it shows belongs to the scene of the splats and stays."""
+    light_probe.remove(other)
+    bpy.data.scenes.remove(other)
+
+
+def left_over() -> list:
+    """The scenes of meshes whose splats' scene was deleted; not the last scene of a file."""
+    return [scene for scene in bpy.data.scenes if MADE in scene and not is_one(scene) and scene.is_editable][:len(bpy.data.scenes) - 1]
 
 
 def hide(depsgraph) -> None:
@@ -91,12 +100,19 @@ def hide(depsgraph) -> None:
         evaluated = lamp.evaluated_get(depsgraph)
         if evaluated.is_evaluated:
             evaluated.lightgroup = light_group(i)
+    if depsgraph.scene.original.background_set == scene:  # for its rigid bodies; what the view layer excludes is not shown for that
+        here = {obj.name_full for obj in depsgraph.view_layer.objects}
+        for obj in [obj for obj in scene.objects if obj.name_full not in here]:
+            evaluated = obj.evaluated_get(depsgraph)
+            if evaluated.is_evaluated:
+                for ray in RAYS:
+                    setattr(evaluated, f"visible_{ray}", False)
 
 
 def _new(scene):
     other = scene.copy()
     other.name = f"{scene.name} Meshes"
-    other.fastgs.splats_scene = scene
+    other.fastgs.splats_scene, other[MADE] = scene, True
     other.fastgs.property_unset("render_meshes")
     if bpy.app.version >= (5, 0, 0):
         other.compositing_node_group = None
@@ -107,6 +123,17 @@ def _new(scene):
     if hasattr(other, "cycles"):
         other.cycles.film_transparent_glass = True
     return other
+
+
+def _follow_bodies(scene, other):
+    """Let rigid bodies be where they are in the scene, whose set this one becomes: Blender evaluates the rigid bodies of sets.
+
+    A rigid body world of its own would have a simulation of its own, which no one has played.
+    """
+    if other.rigidbody_world is not None:
+        with bpy.context.temp_override(scene=other):
+            bpy.ops.rigidbody.world_remove()
+    _set(other, "background_set", scene.background_set if scene.rigidbody_world is None else scene)
 
 
 def _set(target, name: str, value) -> bool:

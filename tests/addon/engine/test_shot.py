@@ -67,6 +67,8 @@ def shot(scene, screen, wall, sky, add, add_camera, paint):
             camera = add_camera(location=(x, -5, 0), lens=lens)
             here.timeline_markers.new(f"cut {frame}", frame=frame).camera = camera
         here.camera = camera
+    bpy.context.view_layer.objects.active = bpy.data.collections["Right"].objects[0]
+    bpy.ops.rigidbody.object_add(type='PASSIVE')  # after the copy: Blender itself crashes with rigid bodies of two worlds
     return scene, close
 
 
