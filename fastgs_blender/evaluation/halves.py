@@ -16,6 +16,8 @@ OUTLYING, ROUNDS = 0.1, 6
 """Difference of colour (0..1) at which a pixel counts half, and rounds of weighted least squares."""
 MOST = 50_000
 """Pixels of a half that are looked at; of more, evenly spread ones."""
+CLIPPED = 0.99
+"""Values from which on a lamp may be brighter than a picture can show.  They tell no exposure, and stay as bright in a darker one."""
 PULL = 1e-4
 """Towards gain 1 and offset 0, in mean squares of colour: a half without contrast tells no gain."""
 
@@ -30,7 +32,9 @@ def fitted(picture: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = N
     for told, changed in ((np.s_[:, :half], np.s_[:, half:]), (np.s_[:, half:], np.s_[:, :half])):
         found = _fit(picture[told], truth[told], None if counts is None else np.asarray(counts)[told])
         if found:
-            result[changed] = picture[changed] * found[0] + found[1]
+            shown = picture[changed]
+            exposed = shown * found[0] + found[1]
+            result[changed] = np.where(shown < CLIPPED, exposed, np.maximum(exposed, shown))
     return result
 
 
@@ -41,7 +45,7 @@ def middle(picture: np.ndarray) -> int:
 
 def _fit(picture: np.ndarray, truth: np.ndarray, counts: np.ndarray | None) -> tuple[np.ndarray, np.ndarray] | None:
     """Gains and offsets [3] that bring a picture [h, w, 3] nearest to the truth; None where too few pixels count."""
-    where = np.ones(picture.shape[:2], bool) if counts is None else counts > 0.5
+    where = (np.maximum(picture, truth) < CLIPPED).all(-1) & (True if counts is None else counts > 0.5)
     rows = np.flatnonzero(where)
     rows = rows[:: -(-len(rows) // MOST) or 1]
     p, q = (np.asarray(image).reshape(-1, 3)[rows].astype(np.float64) for image in (picture, truth))

@@ -50,7 +50,7 @@ class MovingPixels:
         """The median [h, w, 3] of some of a camera's pictures, made when it is asked for first."""
         if view not in self._still:
             shots = self._shots.get(view, [])
-            usable = len(shots) >= FEWEST and all((self._masked or shot.mask is None) and _stands(shot, shots[0]) for shot in shots)
+            usable = len(shots) >= FEWEST and all((self._masked or shot.mask is None) and stands(shot, shots[0]) for shot in shots)
             self._still[view] = self._median(shots) if usable else None
         return self._still[view]
 
@@ -76,7 +76,8 @@ def _share(picture: np.ndarray, still: np.ndarray, h: int, w: int) -> np.ndarray
     return share[np.ix_(rows, columns)]
 
 
-def _stands(shot: Shot, first: Shot) -> bool:
+def stands(shot: Shot, first: Shot) -> bool:
+    """Whether the camera of a shot is that of another one, at the same place."""
     a, b = shot.camera, first.camera
     return a is b or (a is not None and b is not None and (a.width, a.height, a.fx, a.fy) == (b.width, b.height, b.fx, b.fy)
                       and np.array_equal(a.world_to_camera, b.world_to_camera))

@@ -18,9 +18,10 @@ from ...captures.pixels.store import Pixels
 from ...training.core.settings import Settings
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
+from ..core.moving_pixels import stands
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
-from . import features, planes, sweep
+from . import features, planes, still, sweep
 from .geometry import project, sample, visible
 from .neighbours import neighbour_distance
 from .velocity import in_motion
@@ -55,7 +56,7 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
-    of, done = len(some) + (4 if settings.init_motion else 3) * len(moments), count(1)
+    of, done = len(some) + (4 if settings.init_motion else 3) * len(moments) + 1, count(1)
 
     def tick() -> None:
         progress(next(done), of)
@@ -79,7 +80,12 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
     for k, shown in enumerate(pictures):
         depths[k] = planes.laid(shown, depths[k], large, near, far)
         tick()
-    still, timed, swept = [], [], 0
+    standing = None
+    if not few and stand_still(moments):
+        standing = still.standing(([picture(capture, store, settings, shot, still.SIDE) for shot in its] for its in zip(*moments)),
+                                  large, near, far)
+    tick()
+    steady_ones, timed, swept = [], [], 0
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t))
                   for xyz, rgb in sweep.surfaces(pictures[k], depths[k], witnesses)]
@@ -91,7 +97,7 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
         elsewhere = [votes(cloud, pictures[i], depths[i], few) for i in others]
         agree, against = np.sum(elsewhere, 0) if elsewhere else np.zeros((2, len(cloud)))
         steady = (agree > 0) & (agree >= MOSTLY * (agree + against))
-        still.append(cloud.take(steady))
+        steady_ones.append(cloud.take(steady))
         timed.append(cloud.take(~steady))
         tick()
     if settings.init_motion:
@@ -103,7 +109,7 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
         for k in range(len(at_rest)):
             timed.append(in_motion(at_rest, k, seen))
             tick()
-    steadily = evenly(among_others(joined(still), centres), settings.init_points // 2)
+    steadily = evenly(among_others(joined(steady_ones) if standing is None else standing, centres), settings.init_points // 2)
     share = (settings.init_points - len(steadily)) // len(timed)
     always = Points(steadily.xyz, steadily.rgb, np.full(len(steadily), np.nan))
     how += f", {swept} places on surfaces that pictures agree on, at {len(moments)} moments"
@@ -250,6 +256,13 @@ def picture(capture: Capture, store: Any, settings: Settings, shot: Shot, side: 
 def few_cameras(moments: list[list[Shot]]) -> bool:
     """Whether the moments have few pictures: two that agree are enough then, and more is asked of what contradicts them."""
     return 1 < max(map(len, moments)) <= FEW_CAMERAS and len({shot.frame for shot in moments[0]}) == 1
+
+
+def stand_still(moments: list[list[Shot]]) -> bool:
+    """Whether all moments have the same cameras at the same places, often enough to tell what stands still."""
+    first = moments[0]
+    return len(moments) >= still.FEWEST and all(
+        [shot.view for shot in shots] == [shot.view for shot in first] and all(map(stands, shots, first)) for shots in moments)
 
 
 def enlarged(capture: Capture, shot: Shot) -> Shot:

@@ -45,11 +45,11 @@ class Depths:
     range: np.ndarray
 
 
-def swept(pictures: Sequence[tuple], near: float, far: float) -> list[Depths | None]:
-    """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment; None for one without neighbours."""
-    depths = 1 / np.linspace(1 / near, 1 / far, DEPTHS)
+def swept(pictures: Sequence[tuple], near: float, far: float, count: int = DEPTHS, window: int = WINDOW) -> list[Depths | None]:
+    """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment, of so many; None for one without neighbours."""
+    depths = 1 / np.linspace(1 / near, 1 / far, count)
     planes = np.stack([0 * depths, 0 * depths, 1 / depths], 1)
-    return for_each(pictures, near, far, lambda k, others: _depths(differences(pictures[k], others, planes), depths))
+    return for_each(pictures, near, far, lambda k, others: _depths(differences(pictures[k], others, planes, window), depths))
 
 
 def for_each(pictures: Sequence[tuple], near: float, far: float, found: Callable[[int, list[tuple]], Depths | None]) -> list[Depths | None]:
@@ -69,7 +69,7 @@ def for_each(pictures: Sequence[tuple], near: float, far: float, found: Callable
     return threads.run(one, [(k,) for k in range(len(pictures))])
 
 
-def differences(picture: tuple, others: Sequence[tuple], planes: np.ndarray) -> np.ndarray:
+def differences(picture: tuple, others: Sequence[tuple], planes: np.ndarray, window: int = WINDOW) -> np.ndarray:
     """Differences of colour [D, h, w] between a picture and the better half of the others, were its surface on each plane [D, 3], by which
     the pixel (u, v) has the inverse depth plane @ (u, v, 1)."""
     image, camera, _ = picture
@@ -77,7 +77,7 @@ def differences(picture: tuple, others: Sequence[tuple], planes: np.ndarray) -> 
     for other, its, _ in others:
         between = its.world_to_camera @ np.linalg.inv(camera.world_to_camera)
         views.append((other, matrix(its) @ between[:3, :3] @ np.linalg.inv(matrix(camera)), matrix(its) @ between[:3, 3]))
-    return load_backend("cpu").sweep(image, views, planes, OUTSIDE, WINDOW)
+    return load_backend("cpu").sweep(image, views, planes, OUTSIDE, window)
 
 
 def _depths(cost: np.ndarray, depths: np.ndarray) -> Depths:
@@ -95,16 +95,17 @@ def _depths(cost: np.ndarray, depths: np.ndarray) -> Depths:
     return Depths(np.where(ratio < VAGUE, 1 / inverse, farthest), least, ratio)
 
 
-def surfaces(pictures: Sequence[tuple], found: list[Depths | None], witnesses: int = 3) -> list[tuple[np.ndarray, np.ndarray]]:
-    """For each picture, points [P, 3] and colours [P, 3] where neighbours look alike and so many pictures have the same depth, itself
-    included (all, where there are fewer)."""
+def surfaces(pictures: Sequence[tuple], found: list[Depths | None], witnesses: int = 3,
+             alike: float = ALIKE) -> list[tuple[np.ndarray, np.ndarray]]:
+    """For each picture, points [P, 3] and colours [P, 3] where neighbours differ by less than `alike`, and so many pictures have the same
+    depth, itself included (all, where there are fewer)."""
     clouds = []
     others_needed = min(witnesses - 1, sum(depths is not None for depths in found) - 1)
     for k, ((image, camera, inside), depths) in enumerate(zip(pictures, found)):
         if depths is None:
             clouds.append((np.zeros((0, 3)), np.zeros((0, 3))))
             continue
-        row, column = np.nonzero((depths.cost < ALIKE) & (depths.range < VAGUE) & (True if inside is None else inside > 0.5))
+        row, column = np.nonzero((depths.cost < alike) & (depths.range < VAGUE) & (True if inside is None else inside > 0.5))
         places = np.stack([column, row], 1) + 0.5
         points = unproject(camera, places, depths.depth[row, column])
         agreeing = np.zeros(len(points), np.int64)

@@ -309,6 +309,16 @@ def test_each_half_is_judged_by_a_fit_on_the_other_one():
     assert np.array_equal(found[:, :15], picture[:, :15]) and psnr(found[:, 15:], truth[:, 15:]) > 50
 
 
+def test_a_clipped_lamp_stays_white_in_a_darker_exposure():
+    truth = 0.6 * np.random.default_rng(3).random((20, 31, 3))
+    picture = truth / 0.7
+    truth[:3], picture[:3] = 1, 1
+    found = halves.fitted(picture, truth)
+    assert np.array_equal(found[:3], picture[:3]) and psnr(found, truth) > 50
+    brighter = halves.fitted(0.5 * picture, truth)
+    np.testing.assert_allclose(brighter[3:], truth[3:], atol=0.01)
+
+
 def test_what_a_model_shows_wrongly_does_not_bend_the_fit():
     """A third of each half shows something else: plain least squares would find half the gain."""
     truth = np.random.default_rng(3).random((40, 60, 3))
