@@ -1,9 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Adam (Kingma and Ba 2015) in place, for the rows that a step has seen.
 
-A row's step stands for all since it was seen last, and is as many times as long.  So what is seen in one of P steps goes as far altogether
-as what is seen in all.  The usual Adam moves all rows by what they remember, and takes it 1 / sqrt(P) as far.  By steps of one length it
-goes 1 / P as far, and what few cameras see is left behind (docs/notes/learning-rates.md).
+A row that is seen in one of P steps goes sqrt(P) as far in it.  So it does by the usual Adam, whose second moment is P times smaller there,
+but which moves all rows in every step.  By steps of one length, what few cameras see is left behind (docs/notes/learning-rates.md).
 """
 from __future__ import annotations
 
@@ -17,7 +16,7 @@ from .jit import kernel
 
 EPSILON = 1e-15
 LONGEST = 16
-"""Of a row that was seen longer ago a step goes no farther."""
+"""A row that was seen longer ago goes no farther."""
 STEPS = 1 << 16
 """From this step on there is nothing left to correct."""
 
@@ -31,7 +30,7 @@ def corrections(beta1: float, beta2: float) -> np.ndarray:
 
 def reach(since: np.ndarray) -> np.ndarray:
     """How far rows [R] go whose step stands for so many, in rates: float32."""
-    return np.minimum(since, LONGEST).astype(np.float32)
+    return np.sqrt(np.minimum(since, LONGEST), dtype=np.float32)
 
 
 @kernel

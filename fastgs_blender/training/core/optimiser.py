@@ -101,7 +101,7 @@ class Optimiser:
 
     def step(self, gradients: dict, rows: Any, rates: dict) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates; rows that were
-        seen P steps ago by P times as much (kernels.cpu.adam).
+        seen P steps ago by sqrt(P) of them (kernels.cpu.adam).
 
         gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
         rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are

@@ -27,7 +27,7 @@ fn thread(i: u32) {
     if job.size.z == 0u && since[row] == 0.0 {
         return;
     }
-    let reach = select(min(since[row], {LONGEST}.0), 1.0, job.size.z != 0u);
+    let reach = select(sqrt(min(since[row], {LONGEST}.0)), 1.0, job.size.z != 0u);
     let column = i % job.size.y;
     let corrections = table[min(u32(count[row] + 1), job.size.w - 1u)];
     let g = select(0.0, gradient[i], abs(gradient[i]) <= 3e38);
