@@ -12,7 +12,7 @@ from uneven_captures import write_uneven
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.clocks.files import FILE, read_clocks
 from fastgs_blender.checks import timing
-from fastgs_blender.checks.samples import Looked
+from fastgs_blender.checks.samples import Inspection
 from fastgs_blender.cli import main
 from fastgs_blender.training.run import clocks
 
@@ -34,7 +34,7 @@ def test_quick(shifted, capsys):
     assert picture.shape == (620, 1100, 3) and (picture < 100).any(-1).mean() > 0.001
     capture = open_capture(shifted)
     assert max(shot.t for shot in capture.shots if shot.view == "cam02") > (capture.clip.frame_count - 1) / capture.clip.frame_count
-    assert not timing.run(Looked(capture)).findings, "after sync, check is content"
+    assert not timing.run(Inspection(capture)).findings, "after sync, check is content"
 
 
 @pytest.mark.slow
