@@ -91,14 +91,14 @@ def save_page(page: Page, path: Path, loss: Loss = FINE, limit: float | None = N
         size = _write(target, page, loss, progress, packed or {})
         if limit is not None and size > limit * 1e6:
             raise FastGSError(f"{path} would have {size / 1e6:.1f} MB, and its limit is {limit:g} MB; {SMALLER}, or raise the limit.")
-    if size > LARGE * 1e6:
-        warnings.warn(LossWarning(f"the page has {size / 1e6:.1f} MB, and phones may not open one beyond {LARGE:g} MB; {SMALLER}."),
-                      stacklevel=2)
     return size
 
 
 def _write(target: Path, page: Page, loss: Loss, progress: Callable[[float], None] | None, packed: Packed) -> int:
-    """Write a page with its poster and its compressed models, one after the other; returns its bytes."""
+    """Write a page with its poster and its compressed models, one after the other; returns its bytes.
+
+    A LossWarning says where it is large.
+    """
     for model in page.models.values():
         if reason := cannot_play(model):
             raise FastGSError(reason)
@@ -118,7 +118,11 @@ def _write(target: Path, page: Page, loss: Loss, progress: Callable[[float], Non
 
     with target.open("w", encoding="utf-8", newline="\n") as stream:
         write_page(stream, page, files())
-    return target.stat().st_size
+    size = target.stat().st_size
+    if size > LARGE * 1e6:
+        warnings.warn(LossWarning(f"the page has {size / 1e6:.1f} MB, and phones may not open one beyond {LARGE:g} MB; {SMALLER}."),
+                      stacklevel=2)
+    return size
 
 
 def compressed_file(model: GaussianModel, loss: Loss, progress: Callable[[float], None] | None = None) -> bytes:

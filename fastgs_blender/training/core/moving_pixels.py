@@ -34,12 +34,12 @@ class MovingPixels:
 
     def share(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
         """[h, w] float32 of a shot's pixels, as its camera filmed them: 0 stands still, 1 moves; None where it is not known."""
-        looked = self._looked(shot, pixels)
-        still = None if looked is None else self._still_picture(shot.view)
-        if looked is None or still is None:
+        picture = self._compared(shot, pixels)
+        still = None if picture is None else self._still_picture(shot.view)
+        if picture is None or still is None:
             return None
-        h, w = looked.shape[:2]
-        return _share(smaller(looked, _reduction(h, w)), still, h, w)
+        h, w = picture.shape[:2]
+        return _share(smaller(picture, _reduction(h, w)), still, h, w)
 
     def changed(self, earlier: MovingPixels, view: str, h: int, w: int) -> np.ndarray | None:
         """share() [h, w] of what stands still in a camera's film, against the same of an earlier part of it."""
@@ -56,11 +56,11 @@ class MovingPixels:
 
     def _median(self, shots: Sequence[Shot]) -> np.ndarray | None:
         picked = [shots[i] for i in np.unique(np.linspace(0, len(shots) - 1, min(LOOKS, len(shots))).round().astype(int))]
-        looks = [self._looked(shot, self._store.pixels(shot)) for shot in picked]
+        looks = [self._compared(shot, self._store.pixels(shot)) for shot in picked]
         known = [smaller(look, _reduction(*look.shape[:2])) for look in looks if look is not None]
         return np.median(known, axis=0).astype(np.float32) if len(known) == len(looks) else None
 
-    def _looked(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
+    def _compared(self, shot: Shot, pixels: Pixels) -> np.ndarray | None:
         if pixels.mask is None:
             return pixels.rgb
         return None if self._masked is None else self._masked(shot, pixels)

@@ -126,6 +126,8 @@ def test_a_page_over_its_limit_is_not_written_and_the_sentence_says_what_to_do(m
     monkeypatch.setattr(web, "LARGE", 0.01)
     with pytest.warns(fg.LossWarning, match="phones"):
         web.save_page(web.page_of(model), tmp_path / "x.html", packed=kept)
+    with pytest.warns(fg.LossWarning, match="phones"):
+        fg.save(model, tmp_path / "y.html")
 
 
 def test_a_model_that_a_page_cannot_play_is_refused(model, tmp_path, monkeypatch):
