@@ -3,8 +3,6 @@
 
 Kernels land in the cache folder, where the first render finds them.  If anything goes wrong here, that render compiles them.
 """
-from __future__ import annotations
-
 import importlib.util
 import logging
 import os

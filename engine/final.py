@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders final frames: F12, animations and the command line."""
-from __future__ import annotations
-
 import math
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace

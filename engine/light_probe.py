@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders the panorama of a light probe, for each frame and view layer of the meshes that another engine is about to render."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 Nothing here names a pass but where Blender wants something of its own, so that a pass that is added to the table is there.
 """
-from __future__ import annotations
-
 from operator import attrgetter
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders instances, of one colour space or of two, to one scene-linear picture: final frames and the CPU's viewport use it."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

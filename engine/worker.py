@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs work in a thread of its own, so that the caller can cancel it at once, whatever it is doing."""
-from __future__ import annotations
-
 from concurrent.futures import CancelledError
 from contextlib import closing
 

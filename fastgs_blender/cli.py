@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The command line fastgs: its parser, and how errors and warnings of its commands are shown."""
-from __future__ import annotations
-
 import argparse
 import contextlib
 import inspect

@@ -9,8 +9,6 @@
 
 Nothing else in the library imports this module; training does without torch.  docs/torch.md has an example.
 """
-from __future__ import annotations
-
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from types import TracebackType

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What operators have in common: when they can be called, how they report, and how they take what nobody has set from the scene."""
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import NamedTuple
 

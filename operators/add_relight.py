@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that lets the compositor light splats."""
-from __future__ import annotations
-
 import bpy
 
 from ..scene import joins

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Align by Pairs: three places are clicked on each of two captures, and the one is moved onto the other."""
-from __future__ import annotations
-
 from dataclasses import replace
 from itertools import pairwise
 

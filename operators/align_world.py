@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Puts captures upright and to size in the scene.  Objects are moved; their files stay as they are."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.props import EnumProperty, FloatProperty

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Object > Bake to 4D Gaussians: turns animated objects into a model, without training."""
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators for bullet time, cameras that follow a region, handheld shake, and keys from the 3D view."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, IntProperty

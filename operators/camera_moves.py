@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Animates cameras by ordinary keyframes: orbit, dolly, a smooth path through cameras."""
-from __future__ import annotations
-
 import re
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Imports camera paths of other programs as keyframes, and exports any animated camera."""
-from __future__ import annotations
-
 import warnings
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Imports the cameras of a capture, with their films or pictures as backgrounds."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

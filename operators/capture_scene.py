@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Capture This Scene: films the open, animated scene from many cameras with its own render engine, as a capture."""
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that show a capture from a good side, and store such a side in its file."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import IntProperty
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks a capture before training: what is wrong with it, as a page in the browser and a text in Blender."""
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clean Up: hides what spoils a capture beside its cameras, and shows at once what a slider changes."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.props import BoolProperty, FloatProperty, StringProperty

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators on an object's clip: splitting it at the current frame, markers at its beginning and end, and its sound."""
-from __future__ import annotations
-
 from math import floor
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that crop a splat object with shapes."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty
 

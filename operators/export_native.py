@@ -4,8 +4,6 @@
 Their point attributes: position; scale, standard deviations; rotation, a quaternion w x y z; radiance:base, the constant coefficients of
 the spherical harmonics and the opacity (0..1); radiance:sh_<k>, the coefficients above.
 """
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """File > Export > 4D Gaussians: Web Page: the scene's splats as one HTML file that plays them."""
-from __future__ import annotations
-
 import tempfile
 from contextlib import closing
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What the exports of splats share: they say what is not kept before they write, work in steps, and report at the end."""
-from __future__ import annotations
-
 import warnings
 from contextlib import contextmanager
 from pathlib import Path

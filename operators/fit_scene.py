@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Fits the scene to a capture: its range and rate; and all that an import into a new scene sets up, where the scene is not new."""
-from __future__ import annotations
-
 import bpy
 
 from ..scene.cameras.from_view import stand_in_view

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the preferences: test the GPUs, and choose one."""
-from __future__ import annotations
-
 import bpy
 
 from ..fastgs_blender.util.errors import FastGSError

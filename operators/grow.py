@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Grow to the Thing: from strokes, or from what is selected, to all that belongs to it."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that adds a light probe."""
-from __future__ import annotations
-
 import bpy
 
 from ..scene import light_probe, objects

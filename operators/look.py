@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that puts an object's look back to what its file says."""
-from __future__ import annotations
-
 import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators of the preferences: compile and clear the renderer's kernels, open the guide, copy diagnostics."""
-from __future__ import annotations
-
 import bpy
 
 from ..engine import compiling, diagnostics

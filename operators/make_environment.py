@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that makes a training Python: what it needs is downloaded.  The zip for Blender's store goes without this module."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import BoolProperty
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make Loop: finds the best cut of a clip and lets the object play it over and over."""
-from __future__ import annotations
-
 from contextlib import closing
 from functools import partial
 

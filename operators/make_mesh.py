@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that makes a mesh of a splat object's surface."""
-from __future__ import annotations
-
 import time
 from contextlib import closing
 from functools import partial

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that gives splat objects a copy which other engines render."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that make parts of splat objects and join them, erase what is selected, restore it, and write files without it."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -3,8 +3,6 @@
 
 The tools of the toolbar (ui/tools.py) call this operator when the mouse button goes down; it ends when the button comes up.
 """
-from __future__ import annotations
-
 import bpy
 from bpy.props import BoolProperty, CollectionProperty, EnumProperty, FloatProperty
 from mathutils import Vector

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators that select Gaussians of the active object for what they are."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty, FloatVectorProperty
 

@@ -4,8 +4,6 @@
 Blender's own operator selects by what it has drawn itself, of which splats are no part.  It comes first; this one follows, at the end of
 the click, and corrects it where a splat is what is seen.
 """
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.props import BoolProperty

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Runs long work of an operator in steps: with a window Blender shows progress and Esc ends it; without one it blocks."""
-from __future__ import annotations
-
 import math
 import sys
 import time

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operators that put two captures together: aligning them by their surfaces, grading one to the other, fading one into the other."""
-from __future__ import annotations
-
 from contextlib import closing
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds how far the clocks of a capture's cameras are from each other, in a process that Blender watches."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Starts training runs, and checks beforehand whether training can work."""
-from __future__ import annotations
-
 import os
 import sys
 import time

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Operators on the list of training runs: pause, resume, stop, remove, and bring models and reports into Blender."""
-from __future__ import annotations
-
 import time
 
 import bpy

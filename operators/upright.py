@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Up Axis: which axis of a splat object's file points up."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """New Camera from View: a camera that sees what the 3D view shows."""
-from __future__ import annotations
-
 import bpy
 from bpy.props import EnumProperty
 

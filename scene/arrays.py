@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads Blender's collections, meshes and images as arrays."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 

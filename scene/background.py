@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Long work that needs no Blender, in a thread of its own, while Blender is asked for the next step."""
-from __future__ import annotations
-
 import threading
 
 WAIT = 0.1

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Carries parts, erasing and selections over to a retrained file, whose Gaussians are others: by place and colour."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils.kdtree import KDTree

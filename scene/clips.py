@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Computes when an object's clip plays in its scene, and adds the clip's sound."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 from pathlib import Path
 

@@ -4,8 +4,6 @@
 Captures are display-referred: their Gaussians were fitted by blending sRGB numbers, so they are blended as such, and the
 blended colour of a pixel is decoded afterwards, without the alpha in it.  docs/colour.md says what that means for artists.
 """
-from __future__ import annotations
-
 import numpy as np
 from mathutils import Color
 

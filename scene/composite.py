@@ -6,8 +6,6 @@ scene, one node joins both pictures (joins.py, composite_nodes.py).  No setting 
 adds the passes that the join needs and leaves the world to it.  Nothing has to be pressed again: everything is brought into step after
 each change, and at the beginning of each render.
 """
-from __future__ import annotations
-
 import bpy
 from bpy.app.handlers import persistent
 

@@ -8,8 +8,6 @@ the meshes what these have of a lamp's light, and the meshes' shadows, caught by
 At the edge of a mesh before splats before another mesh, the pixel's colour of the meshes is a mixture, and half of it belongs behind the
 splats.  There the hidden colour is taken out, as it is beside the edge.
 """
-from __future__ import annotations
-
 import bpy
 
 from ..fastgs_blender.rendering.passes import LAMP_SHADOWS, LAMPS, LIGHTS, MESH_SHADOWS

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads and makes crop boxes of splat objects: ordinary objects of the scene whose extent says which Gaussians are shown."""
-from __future__ import annotations
-
 from functools import lru_cache
 
 import bpy

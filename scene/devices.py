@@ -4,8 +4,6 @@
 GPUs are tested in a process of their own (jobs/examination.py): a driver that crashes takes no Blender along, and nothing waits for it
 but a render that needs to know.
 """
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 

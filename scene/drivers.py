@@ -4,8 +4,6 @@
 That is so for simple expressions of the frame and of properties that are constant or have F-curves.  Blender evaluates these expressions
 without Python, and they are trusted in any file; others are not evaluated here.
 """
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 

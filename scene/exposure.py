@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads Blender's shutter and the camera's depth of field as the library's exposure."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..fastgs_blender.rendering.exposure import Aperture, Exposure

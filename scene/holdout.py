@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads the meshes of an evaluated scene that hide splats, or catch their shadows, as triangles in the world."""
-from __future__ import annotations
-
 import functools
 
 import numpy as np

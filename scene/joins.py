@@ -4,8 +4,6 @@
 Each lamp with a splat shadow has a node of its own before it, in which the shadow's strength can be set.  A node *FAST-GS Relight*, which
 lights the splats in the compositor, stands between the Render Layers node and what uses its picture.
 """
-from __future__ import annotations
-
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads the lamps, the world and the meshes that light splats and throw shadows on them, as the library's SceneLight."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Light linking and the shadows of lamps, as Cycles reads them: which objects a lamp lights, and which ones its light passes."""
-from __future__ import annotations
-
 from collections.abc import Callable
 
 LINKED = Callable[[object, object], bool]

@@ -6,8 +6,6 @@ those that go straight from the camera to the background.  The panorama is a fil
 is rendered (engine/light_probe.py).  Each has another name, so that no engine takes one for another, and only the evaluated world of the
 render hears of it: nothing in the open file changes from frame to frame.
 """
-from __future__ import annotations
-
 import hashlib
 import itertools
 import tempfile

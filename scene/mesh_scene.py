@@ -4,8 +4,6 @@
 It begins as a copy and shares the scene's collections, so what is added to these is in it by itself.  What it holds of its own (shutter,
 camera, markers, flags of view layers ...) is compared with the scene's and written where it differs.
 """
-from __future__ import annotations
-
 import bpy
 
 from . import holdout, light_probe, objects, shadows

@@ -5,8 +5,6 @@ Every point of an object's proxy mesh knows its place in the model's space: an a
 change the mesh (Apply, Set Origin, Mirror and transforms in Edit Mode) move the points in the object's space.  The affine map between
 both is where the model lies.  Nothing else is stored, so undo, copies and libraries need no care.
 """
-from __future__ import annotations
-
 import threading
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes node trees as expressions, with the nodes that all supported releases of Blender have."""
-from __future__ import annotations
-
 import bpy
 
 SPACING = 180, 260

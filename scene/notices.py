@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reports messages to the user in Blender and writes them to the log."""
-from __future__ import annotations
-
 import logging
 import textwrap
 from functools import partial

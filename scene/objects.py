@@ -3,8 +3,6 @@
 
 An object stores a path; the models live here, once for each file, and are dropped when no object shows them any more.
 """
-from __future__ import annotations
-
 import logging
 import os
 import threading

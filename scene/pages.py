@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pages of the documentation that comes with the extension."""
-from __future__ import annotations
-
 from pathlib import Path
 
 DOCS = Path(__file__).resolve().parents[1] / "docs"

@@ -4,8 +4,6 @@
 An object stores each of these as a text, packed over all Gaussians of the file.  What it shows of the file becomes a model of its own, once
 for each part, and whatever draws, writes or measures the object takes that model as if it were the file's.
 """
-from __future__ import annotations
-
 import threading
 from functools import lru_cache
 from weakref import WeakKeyDictionary

@@ -3,8 +3,6 @@
 
 Blender's own multi-layer files hold the passes of the scene that is rendered, and the meshes' are another scene's.
 """
-from __future__ import annotations
-
 import re
 
 import bpy

@@ -8,8 +8,6 @@ and no file, the datablock names the first file, and a property of it says what 
 
 The functions import bpy when they are called, for the reason that updates.py gives.
 """
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

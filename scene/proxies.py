@@ -5,8 +5,6 @@ It is one node of the Geometry Nodes groups that all proxies of a .blend share (
 renders of other engines, and the box around their subject stays to be selected and framed.  The setting *Splats in Viewports* decides, and
 not what has been drawn so far: points never stand in for splats that are still on their way.
 """
-from __future__ import annotations
-
 import bpy
 from bpy.app.handlers import persistent
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds what modules define for Blender to register."""
-from __future__ import annotations
-
 from types import ModuleType
 
 

@@ -3,8 +3,6 @@
 
 The object holds the masks, so that undo and .blend files have them.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 from pathlib import Path
 

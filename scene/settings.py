@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Holds the extension's preferences for code that must not use Blender's context, and sets up the log."""
-from __future__ import annotations
-
 import contextlib
 import logging
 from collections import deque

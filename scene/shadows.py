@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Reads the lamps whose light splats take from the scene's meshes, and these, for the passes of shadows."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..fastgs_blender.rendering.passes import LAMPS, SHADOWS

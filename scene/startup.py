@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Knows what of a scene is as Blender's startup file has it, and nobody's choice yet."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Matrix, Vector

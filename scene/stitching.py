@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Puts two splat objects together: which is moved onto which, moving it, keys that fade one into the other, and the settings of a loop."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bpy

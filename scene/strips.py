@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Evaluates a property that NLA strips animate at any frame, as Blender's stack of tracks does."""
-from __future__ import annotations
-
 import math
 from collections.abc import Iterator
 

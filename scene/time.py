@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Maps a frame of the scene to a frame of a capture, for each object's retiming.  Nothing is ever rounded to a whole frame."""
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass, field, replace
 from typing import Any, NamedTuple

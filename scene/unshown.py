@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
-from __future__ import annotations
-
 from ..fastgs_blender.rendering.passes import LAMPS
 from . import holdout, light_probe, objects, shadows
 

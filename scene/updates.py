@@ -4,8 +4,6 @@
 This module does not hold bpy, because Blender 4.2 never lets go of such a function: one whose module holds bpy keeps the bpy
 wheel from closing down, which then crashes at exit.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 
 listeners: list[Callable[[], None]] = []

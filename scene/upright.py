@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Turns the model of a splat object within the object, so that another of the file's axes points up; the object itself stays."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Matrix

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Samples the scene frame by frame as what a web page plays: splat objects as final frames show them, the camera, the world, the sound."""
-from __future__ import annotations
-
 import tempfile
 from collections.abc import Iterator
 from dataclasses import replace

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds what a view layer has behind it: nothing, a colour, or a world that must be rendered (sky.py)."""
-from __future__ import annotations
-
 import bpy
 
 from . import light_probe

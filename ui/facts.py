@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Facts about splat objects as text for panels; opens no file twice, so that redraws stay quick."""
-from __future__ import annotations
-
 from contextlib import suppress
 from pathlib import Path
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Online Manual, in the context menu of buttons and with F1, opens the page of the documentation that comes with the extension."""
-from __future__ import annotations
-
 import bpy
 
 from ..scene import pages as documentation

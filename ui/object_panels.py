@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The splat object's panel 4D Gaussians, in the object's properties, and its sub-panels."""
-from __future__ import annotations
-
 from itertools import groupby
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The sidebar's panel Select and Parts: all that chooses which Gaussians of an object are shown, and by which object."""
-from __future__ import annotations
-
 import bpy
 
 from ..operators.select_kind import KINDS, PLAIN

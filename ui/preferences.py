@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's preferences."""
-from __future__ import annotations
-
 import bpy
 
 from ..engine import compiling

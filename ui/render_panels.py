@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Panels of the render engine: in the render and in the view layer properties."""
-from __future__ import annotations
-
 import bpy
 
 from ..fastgs_blender.rendering.passes import PASSES

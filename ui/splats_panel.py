@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The first panel of the sidebar's FAST-GS tab: importing, and what is done with splats in the 3D view itself."""
-from __future__ import annotations
-
 import bpy
 
 from .object_panels import Sidebar, draw_error, draw_other_engine, is_ours

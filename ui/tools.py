@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The tools in the 3D view's toolbar that select Gaussians, and those that erase them."""
-from __future__ import annotations
-
 import bpy
 from gpu_extras.presets import draw_circle_2d
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels of training in the sidebar of the 3D view, and its line in the status bar."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The panels about splats and pictures in viewports, in the sidebar of the 3D view."""
-from __future__ import annotations
-
 import bpy
 
 from ..engine.viewport.spaces import viewports

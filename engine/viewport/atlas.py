@@ -4,8 +4,6 @@
 Python cannot write into a part of a texture.  So a new model is uploaded into a texture of its own, and the GPU copies that to the model's
 rows of the large one: for a new frame of a sequence, only the Gaussians of that sequence are uploaded.
 """
-from __future__ import annotations
-
 import gpu
 import numpy as np
 

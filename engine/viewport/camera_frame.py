@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds where the picture of a camera lies in a 3D viewport that looks through it: left, bottom, right, top, 0..1."""
-from __future__ import annotations
-
 from .eye import WHOLE, frame_in
 
 

@@ -4,8 +4,6 @@
 It multiplies the overlays' colours by the transmittance of the splats.  The depth test, against the depth that overlays have written, keeps
 the overlays in front of the splats; the floor's grid writes no depth, so its depth is computed here.
 """
-from __future__ import annotations
-
 from enum import IntEnum
 
 import numpy as np

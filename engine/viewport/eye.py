@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Converts a 3D viewport's matrices to the library's camera."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

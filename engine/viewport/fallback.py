@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws viewports through the library's renderer, where Blender's shaders cannot draw and for passes: renders and shows a texture."""
-from __future__ import annotations
-
 from dataclasses import dataclass, field, replace
 
 import gpu

@@ -4,8 +4,6 @@
 Blender itself shows a background image only in the camera's own view.  Pictures are drawn at the end of the frustum that Blender draws,
 and write depth, so that they hide the splats behind them, which are drawn later.
 """
-from __future__ import annotations
-
 from functools import cache
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Rasterises the depth of meshes that hide splats in Rendered shading under our engine, where Blender draws no meshes."""
-from __future__ import annotations
-
 import numpy as np
 
 from ...fastgs_blender.cameras.camera import Camera

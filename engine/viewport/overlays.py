@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds which overlays Blender draws over a viewport's picture: grid, axes, bones, wires."""
-from __future__ import annotations
-
 import bpy
 from bpy_extras.view3d_utils import location_3d_to_region_2d
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the splats that are seen at a place of a 3D view: the library renders this one pixel, of each object alone."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import numpy as np

@@ -9,8 +9,6 @@ does the same).  Nearly always there is one group.
 Marks on the Gaussians of a model with a decoder (ObjectSettings.mark) are in its group.  Their share of each pixel is blended along, and
 their look is mixed in when the decoder has made the colour.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import gpu

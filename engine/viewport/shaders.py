@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Compiles the shaders, with the rectangle that each is drawn on."""
-from __future__ import annotations
-
 from contextlib import contextmanager
 from functools import cache
 

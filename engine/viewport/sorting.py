@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds which Gaussians a view shows and sorts them by depth; the viewport's thread does it."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws splats in the 3D viewports of the open windows, and draws them again when something changes."""
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable
 from dataclasses import replace

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Uploads arrays to the GPU as 2D float textures, the one kind of data that every GPU backend of Blender takes from Python."""
-from __future__ import annotations
-
 import gpu
 import numpy as np
 

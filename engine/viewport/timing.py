@@ -3,8 +3,6 @@
 
 Nothing that draws for users waits for the GPU; this does, after each stage, to know how long it took.
 """
-from __future__ import annotations
-
 import statistics
 import time
 from collections import defaultdict

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Draws in a 3D view what the mouse draws: the trail of a brush, a box, a lasso, a ball."""
-from __future__ import annotations
-
 from itertools import pairwise
 from math import cos, pi, sin
 

@@ -3,8 +3,6 @@
 
 Only Blender's GPU module is used here, so that tests draw without a window.
 """
-from __future__ import annotations
-
 import logging
 import time
 from collections.abc import Callable

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """A thread that works for all viewports: of the requests of a viewport only the latest is done."""
-from __future__ import annotations
-
 import logging
 import threading
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The camera that shows a model first: the author's, one of the capture's, one where cameras seem to have stood, or one outside."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.filmed_from import filmed_from

@@ -7,8 +7,6 @@ It prints the matrix, how far the surfaces are apart, and how much of them overl
 
 In Blender, Align by Overlap moves the object.
 """
-from __future__ import annotations
-
 import argparse
 
 from ..util.errors import FastGSError

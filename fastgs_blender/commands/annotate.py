@@ -7,8 +7,6 @@ Training writes the first two by itself.  MODEL is a FAST-GS .safetensors; its G
     fastgs annotate model.safetensors --view cameras.json cam03
     fastgs annotate model.safetensors --backdrop 0 0 0 12
 """
-from __future__ import annotations
-
 import argparse
 from typing import Any
 

@@ -8,8 +8,6 @@ settings?  How much disk, memory and time will training need?
 --out (default: a folder beside the capture) gets check.html, one page of pictures and sentences, and check.json.  The exit code is 1 where
 something should be put right before training.
 """
-from __future__ import annotations
-
 import argparse
 import json
 import time

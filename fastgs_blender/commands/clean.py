@@ -8,8 +8,6 @@ MODEL is a model or a training run; the format of OUT follows from its name.  A 
 what is found, those are left out without which the pictures of the capture's cameras change least.  A file that knows no cameras has no
 such bound, and only floaters and stray colours can be judged; fastgs annotate stores the cameras.
 """
-from __future__ import annotations
-
 import argparse
 from pathlib import Path
 

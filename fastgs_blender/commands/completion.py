@@ -8,8 +8,6 @@ Let your shell read it when it starts:
 
 The Python package argcomplete does it; pip install argcomplete installs it.
 """
-from __future__ import annotations
-
 import argparse
 
 from ..util.errors import FastGSError

@@ -12,8 +12,6 @@ With --devices it lists the GPUs instead: how they are reached, their drivers, a
 holds is shown because WebGPU does not say how much memory there is.  The self-test compares small pictures with the processor's, and takes
 the time of a frame and of a training step on both.  The device auto is a GPU that is faster in both, and otherwise the processor.
 """
-from __future__ import annotations
-
 import argparse
 from collections.abc import Callable, Iterable
 from dataclasses import asdict

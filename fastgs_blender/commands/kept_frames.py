@@ -5,8 +5,6 @@ Two frames are the same work if model, camera, time, passes, background, format 
 its frame and says so, and again after it: a killed process leaves no frame whose note is that of another work.  Each frame has its own
 note, so that many machines can render into one folder.
 """
-from __future__ import annotations
-
 import hashlib
 import json
 from collections.abc import Iterator

@@ -9,8 +9,6 @@ proposes the whole clip.
 
 In Blender, Make Loop does it with the object.
 """
-from __future__ import annotations
-
 import argparse
 
 from ..util.progress import progress

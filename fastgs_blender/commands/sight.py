@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Loads cameras from a path of any kind: a capture, a training run, a model, or a camera file of any program."""
-from __future__ import annotations
-
 import argparse
 import contextlib
 from collections.abc import Mapping, Sequence

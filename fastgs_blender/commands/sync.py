@@ -9,8 +9,6 @@ to a few hundredths of a frame (a minute or two; --quick leaves it out, and a ca
 The offsets go into sync.json beside the capture.  Training, evaluation and everything else then place each camera's pictures in time by
 them.  The picture sync.png shows how much changes from picture to picture in each camera, as filmed and with the clocks set right.
 """
-from __future__ import annotations
-
 import argparse
 from dataclasses import replace
 

@@ -7,8 +7,6 @@ Ctrl-C saves and stops; --resume continues exactly where the run was, also after
 Several processes or machines share the work when torchrun starts them:
     torchrun --nproc-per-node=2 -m fastgs_blender train CAPTURE --out DIR
 """
-from __future__ import annotations
-
 import argparse
 import os
 

@@ -3,8 +3,6 @@
 
 The header's `chapters` and `pieces` list both in order.  Arrays of a piece have the names of a model's, after "piece.<number>.".
 """
-from __future__ import annotations
-
 import json
 from collections.abc import Callable
 from dataclasses import replace

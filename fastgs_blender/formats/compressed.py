@@ -8,8 +8,6 @@ and can be read without the other segments.  The metadata's JSON has the keys of
     compressed.steps       the step sizes of each segment, see quantising.Steps
     compressed.blocks      for each segment a list of its columns, see columns.Block
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, replace
 from functools import partial

@@ -3,8 +3,6 @@
 
 A file of one model holds them once, a long clip once for each of its pieces (chaptered.py).
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import replace
 from typing import Any

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Installs a new environment for training, with pip.  The zip for Blender's store goes without this module.  No bpy here."""
-from __future__ import annotations
-
 import contextlib
 import os
 import subprocess

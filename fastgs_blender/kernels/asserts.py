@@ -4,8 +4,6 @@
 A function here has the name of the operation that calls it first.  A failed assertion is a fault of this program and not of a file:
 what comes from outside has been checked before (util/errors.py).
 """
-from __future__ import annotations
-
 from typing import Any
 
 from ..model.gaussians import GaussianModel

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The parameters of a model in training: a dictionary of its arrays, with the decoder's matrices among them."""
-from __future__ import annotations
-
 from dataclasses import replace
 from typing import Any
 

@@ -11,8 +11,6 @@ Same inputs, same bytes: on one device, for any number of threads, without atomi
 
 N Gaussians, C channels, h x w pixels of a camera's window, K coefficients of the motion.  Where a shape has no type it is float32.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol

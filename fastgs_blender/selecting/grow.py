@@ -13,8 +13,6 @@ that strokes pull to 1 and -1 and everything else weakly to 0, what has other co
 With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
 within it: a sweep cut (Andersen, Chung and Lang 2006).
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ..model.gaussians import GaussianModel

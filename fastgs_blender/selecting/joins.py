@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What joins the Gaussians of a model: neighbours in place and velocity, and how alike the two of each pair are."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Nearest neighbours of points in any number of dimensions, by several rotated k-d trees."""
-from __future__ import annotations
-
 import numpy as np
 
 from ..util.backends import load_backend

@@ -7,8 +7,6 @@ depth, tells whether it hangs before that.  What the picture would miss without 
 formats/sensitivity.py.  One picture gives all three: its first channel has the colours, seen along a random direction of colour space, and
 the others, which are black, take the weights.
 """
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from dataclasses import dataclass, replace

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How each Gaussian lies among its nearest neighbours: whether it is alone, and whether it has another colour than all of them."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -3,8 +3,6 @@
 
 As in EM-ICP (Granger and Pennec 2002), a place's partners are a cloud that shrinks; what has no partner on either side counts little.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from .skins import Cells, moved

@@ -4,8 +4,6 @@
 A place is described by how the surface around it is turned towards its own: a histogram over pairs of points of the cosines between their
 normals and the way from one to the other (Rusu et al. 2009), of unsigned normals, in shells of distance.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from typing import Any
 

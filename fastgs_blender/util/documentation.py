@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Where sentences send their reader for more: to a page of docs/, or to its address if this build has a website."""
-from __future__ import annotations
-
 WEBSITE = ""
 """The address of the site that tools/website builds.  tools/build_extension.py --website writes it into the copy that it packs."""
 

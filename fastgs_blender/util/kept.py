@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Results that are kept while the object lives that they are about."""
-from __future__ import annotations
-
 import threading
 from collections.abc import Callable
 from functools import wraps

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The pictures of a capture's views as backgrounds of Blender's cameras."""
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass
 from pathlib import Path

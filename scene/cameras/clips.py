@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The clip that a capture's cameras filmed, as the cameras in the scene remember it, and the scene's own rate and range beside it."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shows captures in 3D views: from where the file's author wants, from where cameras filmed or seem to have, or framed as they are."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import bpy

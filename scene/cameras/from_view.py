@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes cameras that see what a 3D view shows."""
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import bpy

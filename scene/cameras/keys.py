@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Smooth camera moves as ordinary keyframes, or as a curve that shows them first."""
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Gives Blender's cameras the lens, the pose and the animation of the library's cameras."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Quaternion

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Tells from which side the subject of a camera move was filmed, as a range of angles around it."""
-from __future__ import annotations
-
 from typing import NamedTuple
 
 import numpy as np

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The world that a file's cameras are placed in: that of a splat object, or their own, turned upright."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the inputs of camera moves: the scene's camera, its subject, and the cameras that filmed the capture."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Vector

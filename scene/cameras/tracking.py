@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Computes the path of a region of Gaussians, which a camera follows."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 

@@ -3,8 +3,6 @@
 
 They are JPEG files, or PNG where pictures have alpha.
 """
-from __future__ import annotations
-
 import re
 from collections.abc import Iterator
 from concurrent.futures import FIRST_COMPLETED, ThreadPoolExecutor, wait

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The worlds of captures in the scene, as objects to move: splats, and the empties that carry a capture's cameras."""
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Matrix

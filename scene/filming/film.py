@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Films the open scene, picture by picture, into a capture of our layout; pictures that exist already are kept."""
-from __future__ import annotations
-
 import json
 import re
 from collections.abc import Iterable

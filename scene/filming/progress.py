@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The progress of filming the open scene: the share of pictures that are done, and the time for each picture."""
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from dataclasses import dataclass

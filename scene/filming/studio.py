@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Renders pictures of a scene in a private copy, so that the user's own scene never changes, even after errors."""
-from __future__ import annotations
-
 import tempfile
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the subject of a capture: the moving or the selected objects of a scene, and a sphere that contains their motion."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

@@ -5,8 +5,6 @@ A small triangle stands for each Gaussian, just above the surface, in a temporar
 bakes their light into the triangles' corners.  So light does not depend on how finely the objects are meshed, and
 textures keep their detail.  The user's scene is not touched.
 """
-from __future__ import annotations
-
 import contextlib
 
 import bpy

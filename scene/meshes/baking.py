@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bakes animated objects into a model of 4D Gaussians, step by step: surfaces, colours and light first, then the fit of their motion."""
-from __future__ import annotations
-
 import warnings
 from contextlib import closing
 from dataclasses import dataclass, replace

@@ -4,8 +4,6 @@
 A renderer's textures that only it can evaluate (noise, geometry, light paths) end in Unreadable, and the material's viewport
 colour takes their place.
 """
-from __future__ import annotations
-
 import bpy
 import numpy as np
 

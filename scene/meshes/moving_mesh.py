@@ -5,8 +5,6 @@ The mesh has a shape key for each of the shapes of a MovingMesh.  A driver gives
 custom property of the object holds; a handler keeps that property at what the splat object shows.  All else is Blender's own: whatever
 works with shape keys (simulations, motion blur, Alembic, USD) works with these, and files need neither the extension nor the model.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bpy

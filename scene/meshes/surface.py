@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Records the evaluated surface of objects, frame by frame, as arrays: rigs, shape keys and modifiers are applied."""
-from __future__ import annotations
-
 from dataclasses import dataclass, field
 
 import bpy

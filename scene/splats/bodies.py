@@ -6,8 +6,6 @@ their geometry (rb_init_key in deg_builder_relations.cc).  Where the geometry de
 freed while the simulation measures it, which ended Blender 5.0 within ten simulations of a proxy.  So the proxies of rigid bodies get a
 group of nodes that does not depend on the time, and their edited points are written after the evaluation (feeding.py).
 """
-from __future__ import annotations
-
 import bpy
 from bpy.app.handlers import persistent
 

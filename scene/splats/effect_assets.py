@@ -4,8 +4,6 @@
 The library is a .blend in the extension's own folder of the user, written by the Blender that is to read it: files of one release
 cannot be opened by all others.  It is listed among the asset libraries of the preferences as long as the extension is enabled.
 """
-from __future__ import annotations
-
 import logging
 from pathlib import Path
 

@@ -3,8 +3,6 @@
 
 Each is built by code in the open file, with the nodes that all supported releases of Blender have.  At 0 an effect changes nothing.
 """
-from __future__ import annotations
-
 from collections.abc import Callable
 from dataclasses import dataclass, field
 

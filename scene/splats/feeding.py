@@ -4,8 +4,6 @@
 Blender evaluates modifiers from the object's own mesh, so the points are written there: before a new frame is evaluated, with the object's
 previous settings, and again after it if keyframes have changed these.  The same happens on the sub-frames of a render.
 """
-from __future__ import annotations
-
 import weakref
 
 import bpy

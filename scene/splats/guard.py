@@ -4,8 +4,6 @@
 An extension cannot forbid an operator.  So after each evaluation the splat objects whose meshes changed are examined.  Points that were
 deleted or moved are restored, converted meshes become proxies again, and joined objects are separated.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import bmesh

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Imports model files: makes a splat object for each, and sets up the scene where that is wanted."""
-from __future__ import annotations
-
 import warnings
 from dataclasses import dataclass, field, replace
 

@@ -4,8 +4,6 @@
 It writes to the evaluated mesh of a depsgraph, after the evaluation and before that mesh is drawn.  A final render has a depsgraph of its
 own, so that rendering changes nothing in the open file, and sub-frames are those of the render.
 """
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent

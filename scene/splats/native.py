@@ -6,8 +6,6 @@ be a point cloud, and in every version a mesh of discs, each with the colours.  
 been evaluated: a handler writes the datablock, and Blender evaluates a datablock that a handler has changed once more, in final renders and
 on their sub-frames too.  Its data is not saved: files hold an empty datablock, which is filled when the file is opened.
 """
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from bpy.app.handlers import persistent

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes parts of splat objects, which are ordinary objects, and joins them again."""
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bpy

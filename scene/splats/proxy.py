@@ -6,8 +6,6 @@ a small octahedron on each while Blender evaluates the scene; moving.py then giv
 the time.  What is stored stays the points.  Where viewports draw the splats themselves (scene/proxies.py), all that is left of the
 points there is the edges of the box around their subject.
 """
-from __future__ import annotations
-
 from dataclasses import replace
 
 import bpy

@@ -4,8 +4,6 @@
 Engines with shaders read the colour from an attribute.  Workbench draws each material in one colour, so the points are spread over the
 materials of a palette.
 """
-from __future__ import annotations
-
 import bpy
 import numpy as np
 from mathutils import Color

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes splat objects and lets them follow their files; import, bake and reload use it."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Aligns a trained model with the scene from which its capture came."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

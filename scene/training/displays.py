@@ -3,8 +3,6 @@
 
 Nothing here gets a fake user: what no editor shows is not saved with the .blend.
 """
-from __future__ import annotations
-
 import os
 from pathlib import Path
 

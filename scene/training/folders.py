@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Chooses folders for captures and runs: what the user named, or a new one beside the .blend, else in the extension's folder."""
-from __future__ import annotations
-
 from pathlib import Path
 
 import bpy

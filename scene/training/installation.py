@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The extension's folders for the user's data, the training jobs in them, and the Python that trains."""
-from __future__ import annotations
-
 import importlib.util
 import sys
 import tempfile

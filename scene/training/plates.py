@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Makes a capture of the scene's own cameras with films or image sequences as backgrounds; files are linked where possible."""
-from __future__ import annotations
-
 import os
 import re
 import shutil

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks before a run is started whether it can be started; reads no pictures, so that a panel can ask at each redraw."""
-from __future__ import annotations
-
 import bpy
 
 from ...fastgs_blender.util.errors import FastGSError

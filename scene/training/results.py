@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Brings what a training run has made into Blender: its model as an object, its report as text."""
-from __future__ import annotations
-
 import threading
 from dataclasses import dataclass
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Looks at the training jobs once a second: starts the next one, shows pictures and logs, says when one has ended and adds its model."""
-from __future__ import annotations
-
 import logging
 import os
 

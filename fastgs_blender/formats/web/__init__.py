@@ -3,8 +3,6 @@
 
 page_of() makes the page of a model, save_page() writes any page.  `fg.save(model, "page.html")` does both.
 """
-from __future__ import annotations
-
 import tempfile
 import warnings
 from collections.abc import Callable, Iterator, Mapping

@@ -8,8 +8,6 @@
 Each module becomes a function that is called once and gives what the module exports, so names at the top of two modules may be equal.
 The last module, the entry, stands as it is, and may wait at its top level.
 """
-from __future__ import annotations
-
 import posixpath
 import re
 from collections.abc import Mapping

@@ -2,8 +2,6 @@
 """What the player takes from the library, so that nothing is written twice: the shaders' text, places in textures and tables, and the
 numbers of the compressed file.  The player's modules import it as LIBRARY of "./library.js" and SHADERS of "./shaders.js".
 """
-from __future__ import annotations
-
 import json
 from enum import IntEnum
 from typing import Any

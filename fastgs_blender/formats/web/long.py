@@ -3,8 +3,6 @@
 
 A page is made with one object for each clip, whose model stands for it and has no Gaussians.  in_pieces() puts the pieces in its place.
 """
-from __future__ import annotations
-
 import json
 import tempfile
 from collections.abc import Callable, Mapping

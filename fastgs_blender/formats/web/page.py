@@ -33,8 +33,6 @@ player interpolates them.  After the last frame the last one stays.
     sound       null, or {"type": "audio/...", "start": seconds at which the scene begins, by the file's own time; negative: later},
                 with script id="sound", base64
 """
-from __future__ import annotations
-
 import base64
 import hashlib
 import html

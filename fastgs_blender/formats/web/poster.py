@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The opening picture of a page, which is seen until the player draws, and without JavaScript."""
-from __future__ import annotations
-
 from collections.abc import Callable
 
 import numpy as np

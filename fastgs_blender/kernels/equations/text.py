@@ -5,8 +5,6 @@ The equations are WGSL of a kind that differs from GLSL in declarations and name
 and `var` has its type, choices are made by `if`.  So a line of GLSL is the same line of WGSL, and errors of either compiler lead to it.
 numbered() shows a shader as compilers count its lines.
 """
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The constants that shaders share with Python, as #define lines."""
-from __future__ import annotations
-
 from enum import IntEnum
 
 from ..equations.text import CONSTANTS

@@ -3,8 +3,6 @@
 
 The splats' shaders (splat.py) read it by the same names.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Collection
 from dataclasses import dataclass
 from enum import IntEnum

@@ -10,8 +10,6 @@ Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four c
 Colours that change in time have as much again for each term of their basis.
 The shaders (splat.py) read it.
 """
-from __future__ import annotations
-
 from dataclasses import dataclass
 
 import numpy as np

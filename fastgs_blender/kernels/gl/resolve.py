@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shaders that turn blended splats into scene-linear colour."""
-from __future__ import annotations
-
 from ..equations.text import glsl
 from . import constants
 

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The shaders that slice, project and blend splats: one instance of a rectangle for each Gaussian."""
-from __future__ import annotations
-
 from ..equations.text import glsl
 from . import constants
 

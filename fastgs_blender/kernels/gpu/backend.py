@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The GPU backend: renders and trains through WebGPU, and calls the CPU backend for all other operations and where the GPU fails."""
-from __future__ import annotations
-
 import logging
 from collections.abc import Callable, Collection, Sequence
 from functools import cache, cached_property, wraps

@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Blends splats into a picture on a GPU: lists them by tile and rasterises, in as many bands of rows of tiles as its memory asks for."""
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 

@@ -4,8 +4,6 @@
 A result is valid for one adapter, its driver and the shaders.  It is stored in gpus.json in the user's folder for caches.  Before a test
 starts, "not finished" is stored: where a faulty driver ends the whole program, the next start does not test that GPU again.
 """
-from __future__ import annotations
-
 import hashlib
 import json
 import os

@@ -5,8 +5,6 @@ The same samples as the CPU's, in the same tiles (kernels/cpu/expose.py).  A few
 array code finds how many samples each tile needs.  Then the samples are drawn one after the other and added up on the device, on a film
 that is read back when it is done.
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial

@@ -6,8 +6,6 @@ The first step of a picture's size reads such a number.  Later ones make room fo
 checks: what does not fit sets device.spilled, and then this step and those begun after it leave everything as it was and are taken again
 (steps.end).
 """
-from __future__ import annotations
-
 from collections.abc import Callable, Hashable
 from dataclasses import dataclass
 

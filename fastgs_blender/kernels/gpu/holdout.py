@@ -4,8 +4,6 @@
 The CPU cuts them off at the near plane, lists them by tile, and computes in float64 what is linear over the picture: their edges and their
 nearness.  So corners that lie far beside the picture lose no digits.
 """
-from __future__ import annotations
-
 import numpy as np
 
 from ...cameras.camera import Camera

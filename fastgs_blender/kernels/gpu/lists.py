@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Prefix sums, radix sort, and the tile lists on a GPU: the splats that touch each tile, front to back."""
-from __future__ import annotations
-
 from dataclasses import dataclass
 from typing import Any
 

@@ -4,8 +4,6 @@
 Both are whole: a frame begins with the model's coefficients and ends with a picture in the processor's memory; a step begins with a view
 and ends with moved parameters.  Several of them are begun before the GPU is waited for, as rendering a film and training do.
 """
-from __future__ import annotations
-
 import statistics
 from collections.abc import Callable
 from itertools import count

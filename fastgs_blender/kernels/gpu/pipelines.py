@@ -4,8 +4,6 @@
 Making a group takes longer than all else that Python does for a stage.  The buffers of a frame are those of the one before, so groups are
 kept; a stage's parameters lie at another place of their buffer each time, which is given with the dispatch.
 """
-from __future__ import annotations
-
 import re
 from dataclasses import dataclass, field
 from typing import Any

@@ -3,8 +3,6 @@
 
 Stages that go through all rows are run for one piece after the other: runs of rows in which each of their arrays lies in one buffer.
 """
-from __future__ import annotations
-
 import math
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass

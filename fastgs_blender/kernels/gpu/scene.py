@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Packs a model and a camera for the shaders: the model's arrays in one buffer (wgsl/slice.wgsl), and the uniforms of wgsl/view.wgsl."""
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 

@@ -4,8 +4,6 @@ Where they agree, it takes the time of a frame and of a training step on both.
 
 Each stage that pictures or training use (wgsl/) is run here: a test lets each of them do nothing, and the self-test must notice.
 """
-from __future__ import annotations
-
 import time
 from collections.abc import Callable
 from contextlib import AbstractContextManager, nullcontext

@@ -7,8 +7,6 @@ thread(n) what each of so many threads does.  {NAME} is replaced by a constant, 
 is written in one place only.  Then the lines from `//each c 3` to `//end` are written three times, with 0u, 1u and 2u for c: WebGPU guards
 every loop against running for ever, so short loops over arrays cost several times their work.
 """
-from __future__ import annotations
-
 import re
 from functools import cache
 from pathlib import Path

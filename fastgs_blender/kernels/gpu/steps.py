@@ -1,7 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The parts of a training step that work on all Gaussians, on a GPU: the penalty of motion, MCMC's random moves, Adam."""
-from __future__ import annotations
-
 import math
 from collections.abc import Callable
 from functools import cache

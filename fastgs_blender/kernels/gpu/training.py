@@ -4,8 +4,6 @@
 A step reads nothing back to the CPU: how long lists become is guessed from earlier steps (guesses.py).  In whatever bands a picture is
 drawn, gradients have the same bytes, so it does not matter which bands earlier steps have led to.
 """
-from __future__ import annotations
-
 import math
 from dataclasses import dataclass
 from typing import Any, NoReturn
