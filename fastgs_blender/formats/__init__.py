@@ -18,7 +18,7 @@ from ..model.chapters import Chapters
 from ..model.gaussians import GaussianModel, unchanging
 from ..model.sequence import Source
 from ..util.errors import FastGSError, LossWarning, printable
-from ..util.outputs import check_whole, replacing
+from ..util.outputs import replacing
 from ..util.reading import open_file, reading
 from .base import Format, usable
 from .compressed_ply import CompressedPly
@@ -215,7 +215,6 @@ def _reading(path: Path) -> Iterator[None]:
     """Whatever fails in the block becomes one FastGSError that begins with "cannot read" and the file's name."""
     try:
         with reading(path):
-            check_whole(path)
             yield
     except FastGSError as error:
         reason = str(error).removeprefix(printable(f"{path}: "))

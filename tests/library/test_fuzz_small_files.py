@@ -1,13 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Mutated small files: plans and poses of runs, frames' times, journals, verdicts on GPUs, hidden Gaussians, sizes of captures."""
+"""Mutated small files: plans and poses of runs, frames' times, verdicts on GPUs, hidden Gaussians, sizes of captures."""
 from __future__ import annotations
 
 import json
-import shutil
 
 import mutations
 import numpy as np
-import pytest
 import tiny_captures
 
 from fastgs_blender.cameras.camera import Camera
@@ -24,7 +22,6 @@ from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.initial import calibrate, refine
 from fastgs_blender.training.run.files import REFINED, RUN, STATUS
 from fastgs_blender.training.run.plan import Plan, Source, read_plan
-from fastgs_blender.util import outputs
 from fastgs_blender.util.errors import FastGSError, printable_lines
 from fastgs_blender.util.verdicts import Verdict, read_verdict
 
@@ -89,34 +86,6 @@ def test_times_without_numbers_of_moments(tmp_path):
     assert min(told.values(), default=1) > 0
     many = "camera,frame_time\n" + "".join(f"a,{i}\nb,{i}.2\n" for i in range(20_000))
     mutations.attacks("timestamps", read, {"many": {TIMES: many.encode()}}, tmp_path, memory=256 << 20)
-
-
-@pytest.mark.slow
-def test_journals(tmp_path):
-    """A journal replaces and removes what it is of, and nothing else, whatever it says."""
-    model = tmp_path / "made" / "m.pt"
-    model.parent.mkdir()
-    aside = ".fastgs-000000000000.tmp"
-    files = {"m.pt": b"old", "kept.txt": b"kept", f"{aside}/m.pt": b"new"}
-    for name, content in files.items():
-        (model.parent / name).parent.mkdir(exist_ok=True)
-        (model.parent / name).write_bytes(content)
-    journal = outputs._journal(model)
-    steps = {"steps": [["m.pt", "m.pt", outputs._state(model)]], "aside": aside, "undo": False}
-    seed = {**files, journal.name: json.dumps(steps).encode()}
-
-    def read(folder):
-        work = tmp_path / "work"
-        shutil.rmtree(work, ignore_errors=True)
-        shutil.copytree(folder, work)
-        outputs.check_whole(work / "m.pt")
-        assert outputs._journal(work / "m.pt").exists() and (work / "m.pt").read_bytes() == b"old"
-        outputs.complete([work / "m.pt"])
-        assert (work / "kept.txt").read_bytes() == b"kept" and (work / "m.pt").read_bytes() in (b"old", b"new")
-        assert not outputs._journal(work / "m.pt").exists()
-
-    told = mutations.campaign("journal", read, {"one": seed}, tmp_path / "seeds", fixed=list(files))
-    assert told.get("refused", 0) == 0
 
 
 def test_verdicts_on_gpus(tmp_path, monkeypatch):
