@@ -4,6 +4,7 @@
 A function here has the name of the operation that calls it first.  A failed assertion is a fault of this program and not of a file:
 what comes from outside has been checked before (util/errors.py).
 """
+from collections.abc import Callable
 from typing import Any
 
 from ..model.gaussians import GaussianModel
@@ -32,14 +33,25 @@ def _decoder(arrays: Any) -> list[tuple[Any, str]]:
     return [(arrays.get(name), shape) for name, shape in zip(DECODER, ("6 12", "3 6"), strict=True)]
 
 
-def surface(triangles: Any) -> None:
-    """PictureBackend.surface(), and the holdout of draw() and expose()."""
-    shapes((triangles, "f 3 3"))
+def _of(**wanted: str) -> Callable[..., None]:
+    """A function that asserts the shapes of its arguments, in this order."""
+    return lambda *arrays: shapes(*zip(arrays, wanted.values(), strict=True))
 
 
-def past_splats(points: Any, over: Any) -> None:
-    """PictureBackend.past_splats() and past_triangles()."""
-    shapes((points, "p 3"), (over, "p"))
+surface = _of(triangles="f 3 3")  # and the holdout of draw() and expose()
+past_splats = _of(points="p 3", over="p")  # and past_triangles()
+posed = _of(index="m")
+thinnest = _of(places="n 3", spreads="n 6", weights="n")
+carve = _of(depths="v h w", slopes="v h w", poses="v 3 4", low="3")
+around = _of(points="p 3", normals="p 3", places="n 3", axes="n 3", weights="n")
+affine_weights = _of(points="v 3", places="n 3", number="v k", weight="v k", reaches="v")
+weighted_sums = _of(values="n d", number="v k", weight="v k")
+support = _of(opacity="n", number="v k", weight="v k", before="v k")
+smoothed = _of(values="v d", first="e")
+project_points = _of(xyz="p 3")
+resample = _of(image="a b c", positions="h w 2")
+steps_since = _of(moved="n")
+anchor = _of(features="n f", held="n f", gradient="n f")
 
 
 def forward(parameters: Any, template: GaussianModel) -> None:
@@ -73,21 +85,11 @@ def backward(picture: Any, rgb: Any, alpha: Any, depth: Any, into: Any, statisti
            *((array, "n ...") for name, array in (into or {}).items() if name not in DECODER), *_decoder(into or {}))
 
 
-def steps_since(moved: Any) -> None:
-    """TrainingBackend.steps_since()."""
-    shapes((moved, "n"))
-
-
 def motion_penalty(norm: Any, motion: Any, gradient: Any, since: Any) -> None:
     """TrainingBackend.motion_penalty()."""
     shapes((motion, "n k 3"), (gradient, "n k 3"), (since, "n"), (norm.matrix, "r k"))
     rows = motion.shape[1] if norm.matrix is None else len(norm.matrix)
     shapes((norm.weights, str(3 * rows)))
-
-
-def anchor(features: Any, held: Any, gradient: Any) -> None:
-    """TrainingBackend.anchor()."""
-    shapes((features, "n f"), (held, "n f"), (gradient, "n f"))
 
 
 def mcmc_penalty(parameters: Any, gradients: Any) -> None:
@@ -113,54 +115,9 @@ def nearest(points: Any, turns: Any) -> None:
     shapes((points, "p d"), *((turn, "d d") for turn in turns))
 
 
-def posed(index: Any) -> None:
-    """PictureBackend.posed()."""
-    shapes((index, "m"))
-
-
-def thinnest(places: Any, spreads: Any, weights: Any) -> None:
-    """PictureBackend.thinnest()."""
-    shapes((places, "n 3"), (spreads, "n 6"), (weights, "n"))
-
-
-def carve(depths: Any, slopes: Any, poses: Any, low: Any) -> None:
-    """SurfaceBackend.carve()."""
-    shapes((depths, "v h w"), (slopes, "v h w"), (poses, "v 3 4"), (low, "3"))
-
-
-def around(points: Any, normals: Any, places: Any, axes: Any, weights: Any) -> None:
-    """SurfaceBackend.around()."""
-    shapes((points, "p 3"), (normals, "p 3"), (places, "n 3"), (axes, "n 3"), (weights, "n"))
-
-
-def affine_weights(points: Any, places: Any, number: Any, weight: Any, reaches: Any) -> None:
-    """SurfaceBackend.affine_weights()."""
-    shapes((points, "v 3"), (places, "n 3"), (number, "v k"), (weight, "v k"), (reaches, "v"))
-
-
 def places(position: Any, motion: Any, weights: Any, wanted: Any, out: Any) -> None:
     """SurfaceBackend.places()."""
     shapes((position, "n 3"), (motion, "n k 3"), (weights, "n k" if len(weights) > 1 else "1 k"), (wanted, "n"), (out, "n 3"))
-
-
-def weighted_sums(values: Any, number: Any, weight: Any) -> None:
-    """SurfaceBackend.weighted_sums()."""
-    shapes((values, "n d"), (number, "v k"), (weight, "v k"))
-
-
-def support(opacity: Any, number: Any, weight: Any, before: Any) -> None:
-    """SurfaceBackend.support()."""
-    shapes((opacity, "n"), (number, "v k"), (weight, "v k"), (before, "v k"))
-
-
-def smoothed(values: Any, first: Any) -> None:
-    """SurfaceBackend.smoothed()."""
-    shapes((values, "v d"), (first, "e"))
-
-
-def project_points(xyz: Any) -> None:
-    """TrainingBackend.project_points()."""
-    shapes((xyz, "p 3"))
 
 
 def sweep(image: Any, others: Any, planes: Any) -> None:
@@ -168,8 +125,3 @@ def sweep(image: Any, others: Any, planes: Any) -> None:
     shapes((image, "h w 3"), (planes, "d 3"))
     for other, turn, shift in others:
         shapes((other, "a b 3"), (turn, "3 3"), (shift, "3"))
-
-
-def resample(image: Any, positions: Any) -> None:
-    """TrainingBackend.resample()."""
-    shapes((image, "a b c"), (positions, "h w 2"))
