@@ -16,7 +16,7 @@ from ..fastgs_blender.formats.sequences import place_of
 from ..fastgs_blender.model.chapters import Chapters
 from ..fastgs_blender.model.gaussians import Clip
 from ..fastgs_blender.model.sequence import FreeClip, Sequence, Source
-from ..fastgs_blender.util.identity import FileIdentity, status_of
+from ..fastgs_blender.util.identity import status_of
 from ..fastgs_blender.util.reading import reading
 from . import parts, paths
 
@@ -30,9 +30,9 @@ SURFACES = (*MESHABLE, 'CURVES', 'POINTCLOUD', 'VOLUME')
 
 @dataclass
 class _Entry:
-    """A file that was read: its model or sequence, or the sentence that says why it has none."""
+    """A file that was read: its status then, and its model or sequence, or the sentence that says why it has none."""
 
-    identity: FileIdentity
+    status: tuple
     model: Source | None = None
     error: str | None = None
 
@@ -110,7 +110,7 @@ def load_model(path: str) -> Source:
         loading = _loading.setdefault(path, threading.Lock())
     with loading:
         before = entry = _entries.get(path)
-        if entry is None or not entry.identity.same():
+        if entry is None or entry.status != status_of(place_of(path)):
             entry = _read(path)
             with _lock:
                 if before is not None and before.model is not None and entry.model is not None and path in _watched:
@@ -176,7 +176,7 @@ def error_of(obj: bpy.types.Object) -> str | None:
     except fg.FastGSError as error:
         return str(error)
     entry = _entries.get(path)
-    if entry is None or entry.identity.status != status:
+    if entry is None or entry.status != status:
         return None
     return entry.error or parts.trouble(entry.model, obj.fastgs.part)
 
@@ -225,11 +225,11 @@ def _key(path: str) -> str:
 
 
 def _read(path: str) -> _Entry:
-    identity = FileIdentity.of(place_of(path))
+    status = status_of(place_of(path))
     try:
         with reading(path):
-            return _Entry(identity, model=fg.open_source(path))
+            return _Entry(status, model=fg.open_source(path))
     except fg.FastGSError as error:
         if error.__cause__ is not None:
             log.info("%s", error, exc_info=error.__cause__)
-        return _Entry(identity, error=str(error))
+        return _Entry(status, error=str(error))

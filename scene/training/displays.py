@@ -13,13 +13,13 @@ import numpy as np
 from ...fastgs_blender.jobs.job import Job
 from ...fastgs_blender.training.run.files import CONSOLE, PLOT, PREVIEWS
 from ...fastgs_blender.util.errors import FastGSError, printable_lines
-from ...fastgs_blender.util.identity import FileIdentity
+from ...fastgs_blender.util.identity import status_of
 from ...fastgs_blender.util.reading import open_file
 from .. import arrays
 
 PREVIEW, LOSS, LOG = "FAST-GS Training", "FAST-GS Training Loss", "FAST-GS Training Log"
 MOST_TEXT = 200_000
-_files: dict[str, FileIdentity] = {}
+_files: dict[str, tuple] = {}
 """By name of an image or text: the file that it shows."""
 _icons = None
 """Blender's collection of pictures as icons, made when it is needed."""
@@ -71,14 +71,12 @@ def unregister() -> None:
 
 def _changed(name, path: Path) -> bool:
     present = name in (bpy.data.texts if name == LOG else bpy.data.images)
-    shown = _files.get(name)
+    before = _files.get(name)
     try:
-        if present and shown is not None and shown.path == str(path) and shown.same():
-            return False
-        _files[name] = FileIdentity.of(str(path))
+        _files[name] = str(path), status_of(str(path))
     except FastGSError:  # it is not there yet
         return False
-    return True
+    return not present or _files[name] != before
 
 
 def _show_image(name, path: Path):

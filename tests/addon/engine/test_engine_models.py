@@ -37,18 +37,6 @@ def test_a_file_is_read_once_until_it_changes(objects, reads, make_model, model_
     assert len(reads) == 3
 
 
-def test_a_rewrite_within_one_tick_of_the_clock_is_read(module, objects, make_model, model_file, monkeypatch):
-    """Models of as many Gaussians have files of the same size, and all times are the same here."""
-    path = model_file(make_model(5))
-    first, status = objects.load_model(path), os.stat(path)
-    monkeypatch.setattr(module("fastgs_blender.util.identity"), "status_of",
-                        lambda path: (status.st_mtime_ns, status.st_ctime_ns, os.stat(path).st_size, status.st_ino, status.st_dev))
-    assert objects.load_model(path) is first
-    changed = make_model(5, seed=1)
-    model_file(changed)
-    np.testing.assert_array_equal(objects.load_model(path).position, changed.position)
-
-
 @pytest.mark.parametrize("harm", ["truncated", "overwritten"])
 def test_a_model_in_memory_survives_what_happens_to_its_file(objects, fg, make_model, model_file, harm):
     """A page of a mapped file that is cut off under Blender kills it with SIGBUS, unsaved work included."""
