@@ -235,12 +235,26 @@ def gather(start, total, ids, geometry, attributes, plane, left, top, from_middl
 @kernel
 def open_ways(first, last, starts, ids, screen, orthographic, begins, asked, seen, out):
     """Out [P] is 0 for those points of the tiles first..last before which a triangle lies."""
+    box = np.empty((4, 0))
     for tile in range(first, last):
+        total = starts[tile + 1] - starts[tile]
+        if total == 0 or begins[tile] == begins[tile + 1]:
+            continue
+        if box.shape[1] < total:
+            box = np.empty((4, 2 * total))
+        for k in range(total):
+            corner = screen[ids[starts[tile] + k]]
+            box[0, k] = min(corner[0, 0], corner[1, 0], corner[2, 0]) - 2 * EDGE
+            box[1, k] = max(corner[0, 0], corner[1, 0], corner[2, 0]) + 2 * EDGE
+            box[2, k] = min(corner[0, 1], corner[1, 1], corner[2, 1]) - 2 * EDGE
+            box[3, k] = max(corner[0, 1], corner[1, 1], corner[2, 1]) + 2 * EDGE
         for q in range(begins[tile], begins[tile + 1]):
             p = asked[q]
             x, y, limit = seen[p, 0], seen[p, 1], seen[p, 2]
-            for k in range(starts[tile], starts[tile + 1]):
-                corner = screen[ids[k]]
+            for k in range(total):
+                if (x < box[0, k]) | (x > box[1, k]) | (y < box[2, k]) | (y > box[3, k]):
+                    continue
+                corner = screen[ids[starts[tile] + k]]
                 area, depth, above, below = 0.0, 0.0, True, True
                 for i in range(3):
                     j, m = (i + 1) % 3, (i + 2) % 3
