@@ -89,7 +89,7 @@ class _Picture(torch.autograd.Function):
         ctx.save_for_backward(*values)
         ctx.backend, ctx.names, ctx.statistics, ctx.detach_time, ctx.pose = load_backend(name), names, statistics, detach_time, pose
         ctx.view = template, camera if pose is None else moved(camera, pose), t
-        with _told():
+        with _device_errors():
             parameters = {name: ctx.backend.array(value.detach().cpu().numpy()) for name, value in zip(names, values)}
             ctx.picture = ctx.backend.forward(parameters, *ctx.view, depth, band)
             made = [ctx.picture.rgb, ctx.picture.alpha, *([] if ctx.picture.depth is None else [ctx.picture.depth])]
@@ -103,7 +103,7 @@ class _Picture(torch.autograd.Function):
         slopes = [None if grad is None else np.ascontiguousarray(grad.detach().cpu().numpy(), np.float32) for grad in (rgb, alpha, depth)]
         if ctx.picture.depth is None:
             slopes[2] = None
-        with _told():
+        with _device_errors():
             by = ctx.backend.backward(ctx.picture, *(None if each is None else ctx.backend.array(each) for each in slopes),
                                       statistics=ctx.statistics, detach_time=ctx.detach_time)
             found = {name: np.array(ctx.backend.numpy(by[name])) for name in ctx.names}
@@ -177,7 +177,7 @@ def _left_jacobian(vector: np.ndarray) -> np.ndarray:
     return np.eye(3) + (1 - np.cos(angle)) / angle**2 * cross + (angle - np.sin(angle)) / angle**3 * cross @ cross
 
 
-class _told:
+class _device_errors:
     """Context manager in which a device's failure becomes a FastGSError."""
 
     def __enter__(self) -> None:

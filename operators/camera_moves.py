@@ -56,7 +56,7 @@ class _Move(Action):
         def at(frames):
             share = moves.ease((frames - self.frame_start) / (self.frame_end - self.frame_start), self.ease)
             path = move(share)
-            return moves.held_inside(path, cameras, self.margin) if self.stay_inside and len(cameras) else path
+            return moves.clamp_to_hull(path, cameras, self.margin) if self.stay_inside and len(cameras) else path
 
         every = at(np.arange(self.frame_start, self.frame_end + 1, dtype=np.float64))
         if len(cameras):

@@ -190,4 +190,4 @@ def _model(context) -> fg.GaussianModel:
         raise fg.FastGSError("the active object shows no splats; make the object active whose model is to be exported.")
     if not isinstance(objects.source_of(obj), fg.GaussianModel):
         raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
-    return parting.whole_of(obj)
+    return parting.with_parts_joined(obj)

@@ -19,7 +19,7 @@ class FASTGS_OT_test_gpus(Action, bpy.types.Operator):
         running = devices.test()
         if bpy.app.background:
             running.wait()
-            devices.look()
+            devices.refresh()
             if running.trouble:
                 raise FastGSError(running.trouble)
 

@@ -132,7 +132,7 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
             known.fail(job, error)
             raise
         known.report_end(job)
-        watch.look()
+        watch.refresh()
         if state.kind != 'FINISHED':
             raise FastGSError(state.text)
         tell(f"FAST-GS: {job.name} {watch.summary(state)}", sys.stdout)

@@ -22,7 +22,7 @@ class RenderArea:
     window: tuple[int, int, int, int]
 
     @classmethod
-    def whole(cls, width: int, height: int) -> RenderArea:
+    def full(cls, width: int, height: int) -> RenderArea:
         """The area of the whole picture."""
         return cls(width, height, (0, 0, width, height))
 

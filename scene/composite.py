@@ -31,33 +31,33 @@ def changed(scene, depsgraph) -> None:
     Not at once: Blender 5.2 crashes if objects are linked here while the compositor shows another scene.  A render does not wait for it.
     """
     if depsgraph.mode == 'VIEWPORT' and any(each.fastgs.render_meshes != 'OFF' or mesh_scene.MADE in each for each in bpy.data.scenes):
-        _settle_later()
+        _sync_later()
 
 
 def chosen(scene) -> None:
     """Set up what *Render With Meshes* asks for, or take away all of it; a render that is under way keeps its scenes."""
     if _rendering():
-        _settle_later()
+        _sync_later()
     else:
-        _settle_all()
+        _sync_all()
 
 
-def _settle_later():
-    if not bpy.app.background and not bpy.app.timers.is_registered(_settle_all):
-        bpy.app.timers.register(_settle_all, first_interval=0.0)
+def _sync_later():
+    if not bpy.app.background and not bpy.app.timers.is_registered(_sync_all):
+        bpy.app.timers.register(_sync_all, first_interval=0.0)
 
 
-def _settle_all():
+def _sync_all():
     if _rendering():
         return PATIENCE
     for other in mesh_scene.left_over():
         mesh_scene.remove(other)
     for scene in [scene for scene in bpy.data.scenes if not mesh_scene.is_one(scene)]:
-        _settle(scene)
+        _sync(scene)
     return None
 
 
-def _settle(scene):
+def _sync(scene):
     other = mesh_scene.of(scene)
     if scene.fastgs.render_meshes == 'OFF' and other is not None:
         passes_file.follow(scene)

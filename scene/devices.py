@@ -33,11 +33,11 @@ def found() -> dict | None:
     """The GPUs as backends.describe_devices() lists them, with None as the verdict of one that has not been tested; None while they are
     looked for."""
     if _listing is None:
-        look()
+        refresh()
     return _listed
 
 
-def look() -> None:
+def refresh() -> None:
     """Look for the GPUs and at their verdicts, in a thread.  Where there is a user, what has not been tested is, but for software."""
     global _listing
     _listing = threading.Thread(target=_list, name="FAST-GS GPUs", daemon=True)
@@ -94,7 +94,7 @@ def backend(device: str, progress: Callable[[float], None] | None = None) -> tup
     To be called from any thread.
     """
     def examine(adapter):
-        verdict = backends.known_verdict(adapter)
+        verdict = backends.stored_verdict(adapter)
         if verdict is None and progress is not None:
             verdict = _verdict_of(adapter, progress)
         return verdict
@@ -135,7 +135,7 @@ def _watch():
     if _examination is not None and not _reported:
         if _examination.done:
             _reported = True
-            look()
+            refresh()
         return EVERY
     return None
 

@@ -114,7 +114,7 @@ def sampled(context, first: int, last: int, chosen, moving: bool) -> Iterator[tu
             depsgraph = context.evaluated_depsgraph_get()
             tracks.add(number, depsgraph, chosen)
             if scene.camera is not None and (moving or not eyes):
-                area = cameras.RenderArea.whole(*_size(scene))
+                area = cameras.RenderArea.full(*_size(scene))
                 eyes.append(cameras.camera_of(scene.camera.evaluated_get(depsgraph), area, depsgraph))
             yield number + 1, count
     finally:

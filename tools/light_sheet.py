@@ -23,7 +23,7 @@ from fastgs_blender.rendering.passes import PASSES  # noqa: E402
 from fastgs_blender.rendering.relight import SceneLight  # noqa: E402
 from fastgs_blender.rendering.shadow import Light  # noqa: E402
 from fastgs_blender.surfaces.carving import carved  # noqa: E402
-from fastgs_blender.surfaces.views import look, subject_of  # noqa: E402
+from fastgs_blender.surfaces.views import render_views, subject_of  # noqa: E402
 
 SIZE, T, DETAIL = (400, 250), 0.25, 120
 BALL, RADIUS = np.array([0.75, -0.75, 0.3]), 0.3
@@ -44,7 +44,7 @@ def main():
     model = fg.load(ROOT / "examples" / "fireside.safetensors")
     camera = fg.Camera(*SIZE, 300.0, 300.0, SIZE[0] / 2, SIZE[1] / 2, look_at(np.array([0.5, -2.9, 1.6]), np.array([0.1, 0.0, 0.85])))
     subject = subject_of(model, T)  # Make Mesh without its motion, which one picture does not show
-    mesh = carved(subject, look(subject, DETAIL, lambda share: None), DETAIL, 2, 0.01, lambda share: None)
+    mesh = carved(subject, render_views(subject, DETAIL, lambda share: None), DETAIL, 2, 0.01, lambda share: None)
     surface = np.concatenate([mesh.vertices[mesh.quads[:, list(corners)]] for corners in ((0, 1, 2), (0, 2, 3))])
     towards = np.array([-1.0, 1.3, -1.6]) / np.linalg.norm([-1.0, 1.3, -1.6])
     lamp = Lamp(Light.rectangle(np.array([1.6, -1.8, 2.4]), (0.2, 0, 0), (0, 0.2, 0), 16), np.array([9.0, 8.0, 6.5]), towards, flat())

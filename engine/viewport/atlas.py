@@ -107,11 +107,11 @@ class Atlas:
         return self._places[id(model)]
 
     def pack(self, models) -> None:
-        """Compute the texels of models that are not on the GPU yet.  Any thread may call it; hold() is then quicker."""
+        """Compute the texels of models that are not on the GPU yet.  Any thread may call it; upload() is then quicker."""
         known, missing = self._packed, [model for model in models if id(model) not in self._places]
         self._packed = {id(model): known.get(id(model)) or (model, _texels(model)) for model in missing}
 
-    def hold(self, models, keep=()) -> None:
+    def upload(self, models, keep=()) -> None:
         """Upload the models that are not on the GPU yet.  When something is uploaded, other models stay only where they are in `keep`.
 
         Raises TooLarge.

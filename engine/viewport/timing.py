@@ -34,7 +34,7 @@ def measure(snapshot: Snapshot, camera: fg.Camera, runs: int = 5) -> dict[str, f
             answer = sorting.sort(snapshot, camera, 1.0, atlas)
             clock.lap("culling and sorting")
             atlas.clear()
-            atlas.hold([instance.model for instance in answer.instances])
+            atlas.upload([instance.model for instance in answer.instances])
             clock.lap("models to the GPU", finish=True)
             order = Order(answer.order, answer.count)
             clock.lap("order to the GPU", finish=True)

@@ -214,7 +214,7 @@ class View:
         pairs, missing = snapshot.pairs(_known(answer.models), read=False)
         instances, gone = _as_sorted(pairs, {name for name, _ in missing}, answer)
         if instances:
-            self.atlas.hold([instance.model for instance in instances], self.others())
+            self.atlas.upload([instance.model for instance in instances], self.others())
         elif not snapshot.instances and self.atlas.nbytes and not self.others():
             self.atlas.clear()  # the last object is gone or hidden
         self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth,

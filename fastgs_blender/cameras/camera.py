@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 import numpy as np
 
-from ..util.arguments import numbers, real, shown, whole
+from ..util.arguments import integer, numbers, real, shown
 from ..util.errors import FastGSError
 
 LARGEST_SIDE = 65_536
@@ -54,7 +54,7 @@ class Camera:
     def __post_init__(self) -> None:
         set_ = object.__setattr__
         for name in ("width", "height"):
-            set_(self, name, whole(getattr(self, name), f"a camera's {name} in pixels", -1 << 31, 1 << 31))
+            set_(self, name, integer(getattr(self, name), f"a camera's {name} in pixels", -1 << 31, 1 << 31))
         if self.width < 1 or self.height < 1:
             raise FastGSError(f"a camera's image must be at least 1 x 1 pixel, not {self.width} x {self.height}.")
         for name in ("fx", "fy", "cx", "cy", "near"):
@@ -70,7 +70,7 @@ class Camera:
         window = (0, 0, self.width, self.height) if self.window is None else self.window
         if np.shape(window) != (4,):
             raise FastGSError(f"a camera's window must be (x, y, width, height) in pixels, not {shown(window)}.")
-        x, y, w, h = (whole(v, "a number of a camera's window", -1 << 31, 1 << 31) for v in window)
+        x, y, w, h = (integer(v, "a number of a camera's window", -1 << 31, 1 << 31) for v in window)
         if x < 0 or y < 0 or w < 1 or h < 1 or x + w > self.width or y + h > self.height:
             raise FastGSError(f"the window {self.window} does not lie within the image of {self.width} x {self.height} pixels.")
         set_(self, "window", (x, y, w, h))

@@ -10,7 +10,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..util import rotations
-from ..util.arguments import numbers, real, shown, whole
+from ..util.arguments import integer, numbers, real, shown
 from ..util.errors import FastGSError
 from . import moves, poses
 from .camera import Camera
@@ -108,7 +108,7 @@ def _point(centre: np.ndarray) -> np.ndarray:
 
 def _shares(frames: int, ease: float, closed: bool = False) -> np.ndarray:
     """The share of the way at each frame; a closed way ends a frame before its beginning, so that it can be repeated."""
-    frames = whole(frames, "the number of frames of a camera move", 1, moves.MOST_FRAMES)
+    frames = integer(frames, "the number of frames of a camera move", 1, moves.MOST_FRAMES)
     return moves.ease(np.arange(frames) / max(frames if closed else frames - 1, 1), real(ease, "the ease"))
 
 

@@ -161,7 +161,7 @@ def inside(path: Path, cameras: ArrayLike, margin: float) -> np.ndarray:
     return np.maximum(beyond - margin, 0)
 
 
-def held_inside(path: Path, cameras: ArrayLike, margin: float) -> Path:
+def clamp_to_hull(path: Path, cameras: ArrayLike, margin: float) -> Path:
     """The path with its positions moved to the nearest place of the region (see inside)."""
     near = _nearest(path.position, np.asarray(cameras, np.float64))
     away = path.position - near

@@ -74,7 +74,8 @@ def camera(name: str, where: str, matrix: object, distortion: object, rotation: 
     pose[:3, 3] = poses.numbers(np.ravel(_array(translation, f"{where}: its translation")), (3,), f"{where}: its translation")
     pose = poses.rigid(pose, f"{where}: its rotation and translation")
     if size is not None:
-        size = tuple(poses.whole(side, f"{where}: its size", 1, 1 << 20) for side in poses.listed(list(size), f"{where}: its size", 2)[:2])
+        sides = poses.listed(list(size), f"{where}: its size", 2)[:2]
+        size = tuple(poses.integer(side, f"{where}: its size", 1, 1 << 20) for side in sides)
     return Calibrated(name, matrix, lens_of(distortion, fisheye, matrix[0, 1] / matrix[0, 0], where), pose, size)
 
 

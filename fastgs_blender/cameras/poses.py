@@ -104,7 +104,7 @@ def needed(values: dict, key: str, where: str | Path) -> Any:
     return values[key]
 
 
-def whole(value: object, where: str, low: int = 0, high: int = 10**7) -> int:
+def integer(value: object, where: str, low: int = 0, high: int = 10**7) -> int:
     """A whole number from low to high."""
     found = number(value, where, low, high)
     if found != int(found):
@@ -114,7 +114,7 @@ def whole(value: object, where: str, low: int = 0, high: int = 10**7) -> int:
 
 def intrinsics(where: str, fx: object, fy: object, cx: object, cy: object, width: object, height: object) -> Intrinsics:
     """Checked intrinsics; focal lengths above 0, sizes up to LARGEST_SIDE."""
-    w, h = (whole(side, f"{where}: its {name}", 1, LARGEST_SIDE) for name, side in (("width", width), ("height", height)))
+    w, h = (integer(side, f"{where}: its {name}", 1, LARGEST_SIDE) for name, side in (("width", width), ("height", height)))
     x, y = (number(f, f"{where}: its focal length") for f in (fx, fy))
     if min(x, y) <= 0:
         raise FastGSError(f"{where}: its focal lengths must be above 0, not {x:g} and {y:g}.")

@@ -46,7 +46,7 @@ def pose_of(frame: dict, where: str) -> np.ndarray:
 def intrinsics_of(given: dict, where: str, size: Callable[[], tuple[int, int]]) -> Intrinsics:
     """Checked intrinsics; size() gives the picture's where the file does not say it."""
     width, height = (given["w"], given["h"]) if "w" in given and "h" in given else size()
-    width, height = (poses.whole(side, f"{where}: its {key}", 1) for key, side in (("w", width), ("h", height)))
+    width, height = (poses.integer(side, f"{where}: its {key}", 1) for key, side in (("w", width), ("h", height)))
     fx = given["fl_x"] if "fl_x" in given else _focal(given, "camera_angle_x", width, where)
     if fx is None:
         raise FastGSError(f"{where} lacks a focal length: fl_x or camera_angle_x.")

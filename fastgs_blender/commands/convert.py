@@ -121,7 +121,7 @@ def _one_model(source: Source) -> Source:
     from ..model.sequence import Sequence
 
     if isinstance(source, Chapters):
-        return source.whole() if source.one_time else source
+        return source.joined() if source.one_time else source
     return one_model(source) if isinstance(source, Sequence) else source
 
 

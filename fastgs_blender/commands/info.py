@@ -98,10 +98,10 @@ def is_capture(path: str | Path) -> bool:
 
 def holds_models(folder: Path, below: bool = True) -> bool:
     """Whether a folder holds the numbered files of a sequence of models, or stands for one; below: in folders in it, too."""
-    from ..formats.sequences import numbered_files, settled
+    from ..formats.sequences import numbered_files, resolved
 
     try:
-        return settled(folder, below) != folder or bool(numbered_files(folder, below))
+        return resolved(folder, below) != folder or bool(numbered_files(folder, below))
     except FastGSError:
         return False
 
@@ -109,11 +109,11 @@ def holds_models(folder: Path, below: bool = True) -> bool:
 def describe(path: str | Path) -> dict:
     """Everything about the model in a file, as JSON values; raises FastGSError if it cannot be read."""
     from .. import formats
-    from ..formats.sequences import settled, stored_bytes
+    from ..formats.sequences import resolved, stored_bytes
     from ..model.chapters import Chapters
     from ..model.framing import bounds
 
-    path = settled(Path(path))
+    path = resolved(Path(path))
     file_format = formats.identify(path)
     source = formats.open_source(path)
     model, _ = source.moment(0.0)

@@ -39,7 +39,7 @@ from .native import Native
 from .rate import Loss
 from .realtime4dgs import Realtime4DGS
 from .rotor import RotorGaussians
-from .sequences import NumberedFiles, SequenceFormat, ZippedFiles, numbered_files, place_of, settled, stands_for_many
+from .sequences import NumberedFiles, SequenceFormat, ZippedFiles, numbered_files, place_of, resolved, stands_for_many
 from .sog import Sog
 from .sog4d import Sog4d
 from .sog4d_frames import Sog4dFrames
@@ -98,7 +98,7 @@ def open_source(path: str | os.PathLike) -> Source:
     Example:
         model, t = fg.open_source("examples/fireside.safetensors").moment(0.25)
     """
-    path = settled(Path(path))
+    path = resolved(Path(path))
     with _reading(path):
         known = _identify(path)
         source = known.open(path, load)
@@ -111,7 +111,7 @@ def open_source(path: str | os.PathLike) -> Source:
 
 def fingerprint(path: str | os.PathLike) -> str:
     """SHA-256 of a file's content; of a sequence, of its files' names and sizes.  Raises FastGSError."""
-    path = settled(Path(path))
+    path = resolved(Path(path))
     with reading(path):
         if stands_for_many(path):
             listed = "\n".join(f"{file.name} {file.stat().st_size}" for _, file in numbered_files(path))
@@ -122,7 +122,7 @@ def fingerprint(path: str | os.PathLike) -> str:
 
 def identify(path: str | os.PathLike) -> Format:
     """The format of a file, by its content.  Raises FastGSError where it is none of ours."""
-    path = settled(Path(path))
+    path = resolved(Path(path))
     with _reading(path):
         return _identify(path)
 
@@ -136,7 +136,7 @@ def load(path: str | os.PathLike) -> GaussianModel:
     Example:
         model = fg.load("examples/fireside.safetensors")
     """
-    path = settled(Path(path))
+    path = resolved(Path(path))
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
         single = known.single(path, load) if isinstance(known, SequenceFormat) else None

@@ -63,7 +63,7 @@ class FourDGS(Format):
                 wire.check_room(count, scene.room)
                 codec, size = content.text(), content.number("Q")
                 streams = wire.streams(wire.unpacked(content.block(), codec, size), count, "a chunk")
-                population.whole(place, begin, end, streams, count)
+                population.chunk(place, begin, end, streams, count)
             elif opcode == DELTA_CHUNK:
                 population.delta(place, content)
             elif opcode == BAND:

@@ -67,7 +67,7 @@ class Births:
     def __init__(self, scene: Scene) -> None:
         self.scene = scene
 
-    def whole(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
+    def chunk(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
         """A chunk."""
         self.scene.tables.append(complete(table, count, "a chunk"))
         self.scene.bands.append({})
@@ -111,7 +111,7 @@ class States:
         self.bands: set[int] = set()
         self.done: list[tuple[np.ndarray, np.ndarray, np.ndarray]] = []
 
-    def whole(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
+    def chunk(self, place: int, begin: float, end: float, table: dict[int, np.ndarray], count: int) -> None:
         """A whole state."""
         self._close()
         self.first = self._open(begin, end, State(place, *self._rows(table, count, "a keyframe")), _named(table, count))

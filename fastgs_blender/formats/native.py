@@ -49,7 +49,7 @@ class Native(Format):
         with open_tensors(path) as file:
             about, version, kinds = _header(file)
             if version == chaptered.VERSION:
-                return chaptered.opened(path, file, about, kinds).whole()
+                return chaptered.opened(path, file, about, kinds).joined()
             return read_model(file, about, with_decoder(file, kinds))
 
     def open(self, path: Path, load: Loader) -> Source:

@@ -126,7 +126,7 @@ class ZippedFiles(SequenceFormat):
                          lambda i: status_of(str(path)), str(path))
 
 
-def settled(path: Path, below: bool = True) -> Path:
+def resolved(path: Path, below: bool = True) -> Path:
     """The file that a path stands for: in a folder of SOG its meta.json or lod-meta.json, in a trainer's its last model; else the path.
 
     below  whether trainers' models in folders below count

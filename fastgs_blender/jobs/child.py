@@ -65,10 +65,10 @@ def watch(file: str) -> None:
         time.sleep(LOOK_EVERY)
 
 
-def hold(locks: Any, path: str) -> BinaryIO | None:
+def acquire(locks: Any, path: str) -> BinaryIO | None:
     """The lock, kept open as long as the caller keeps it; None where another process holds it."""
     try:
-        return locks.inherited() or locks.hold(path, PATIENCE)
+        return locks.inherited() or locks.acquire(path, PATIENCE)
     except locks.NoLocks:
         return open(path, "ab")  # this file system has none
 
@@ -79,8 +79,8 @@ def main() -> int:
     load_library(extension)
     faulthandler.enable()
     if lock:
-        held = hold(importlib.import_module("fastgs_blender.util.locks"), lock)
-        if held is None:
+        taken = acquire(importlib.import_module("fastgs_blender.util.locks"), lock)
+        if taken is None:
             return TAKEN
         prefer_to_be_killed()
         threading.Thread(target=watch, args=(stopping,), daemon=True).start()

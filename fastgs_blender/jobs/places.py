@@ -13,7 +13,7 @@ from .job import read_status
 
 
 @dataclass(frozen=True)
-class Held:
+class ExistingRun:
     """The run that a folder holds.
 
     finished    whether it has a model
@@ -39,7 +39,7 @@ class Held:
         return f"a finished run ({', '.join(about)})" if about else "a finished run"
 
 
-def held_in(out: str | Path) -> Held | None:
+def existing_run(out: str | Path) -> ExistingRun | None:
     """The run in a folder; None where there is none."""
     out = Path(out)
     if not any((out / name).exists() for name in (RUN, CHECKPOINT, MODEL)):
@@ -48,7 +48,7 @@ def held_in(out: str | Path) -> Held | None:
     with contextlib.suppress(FastGSError):
         plan = read_plan(out)
     whole = plan.settings.iterations if plan else status.get("iterations", 0)
-    return Held((out / MODEL).exists(), status.get("iteration", 0), whole, status.get("held_out_psnr"),
+    return ExistingRun((out / MODEL).exists(), status.get("iteration", 0), whole, status.get("held_out_psnr"),
                 plan.source.capture or "" if plan else "")
 
 
@@ -90,10 +90,10 @@ def place_for(out: str, choice: str, busy: Mapping[str, str] | None = None) -> P
     choice  REFUSE a run that is there, RESUME it, OVERWRITE it, or take a NEW folder beside it
     busy  the folders of jobs that have not ended, with the kind of their State
     """
-    busy, name, held = busy or {}, Path(out).name, held_in(out)
-    if held is None and out not in busy:
+    busy, name, run = busy or {}, Path(out).name, existing_run(out)
+    if run is None and out not in busy:
         return Place(out, text=f"The run goes into {name}.")
-    what = held.text if held else "a run that has not begun"
+    what = run.text if run else "a run that has not begun"
     if choice == 'NEW':
         new = next_free(out, busy)
         return Place(new, "", f"The folder {name} keeps {what}; the new run goes into {Path(new).name}.", asks=True)
@@ -104,7 +104,7 @@ def place_for(out: str, choice: str, busy: Mapping[str, str] | None = None) -> P
         return Place(out, "--overwrite", f"The folder {name} holds {what}. It is deleted, and a new run begins.", asks=True)
     if choice == 'REFUSE':
         return Place(out, trouble=f"{out} holds {what}; continue it, overwrite it, or choose another folder.", asks=True)
-    if held and held.finished:
+    if run and run.finished:
         return Place(out, trouble=f"{out} holds {what}, and nothing is left to continue; begin anew, or take a new folder.", asks=True)
     return Place(out, "--resume", f"The folder {name} holds {what}. It continues, with its own capture and options.", asks=True,
-                 capture=held.capture if held else "")
+                 capture=run.capture if run else "")

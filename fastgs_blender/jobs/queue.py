@@ -155,7 +155,7 @@ class Jobs:
 
     def alive(self, job: Job) -> bool:
         """Whether its process lives, whoever started it."""
-        if locks.is_held(self._file(job.id, ".lock")):
+        if locks.is_locked(self._file(job.id, ".lock")):
             return True
         child = self._child(job)
         if child is not None:
@@ -203,7 +203,7 @@ class Jobs:
             return
         out = Path(job.out)
         with self._take(job) as lock:
-            if locks.is_held(out / LOCK):
+            if locks.is_locked(out / LOCK):
                 raise FastGSError(f"{out}: another process is training in this folder; wait until it has ended, or choose another folder.")
             if not job.started:
                 _refuse_another_run(out, job.existing)
@@ -235,7 +235,7 @@ class Jobs:
     def _take(self, job: Job) -> BinaryIO:
         """The job's lock, held by this program until it is closed."""
         try:
-            lock = locks.hold(self._file(job.id, ".lock"), PATIENCE)
+            lock = locks.acquire(self._file(job.id, ".lock"), PATIENCE)
         except locks.NoLocks:
             return open(os.devnull, "rb")
         except OSError as error:
@@ -288,7 +288,7 @@ class Jobs:
         with self._turn:
             try:
                 self.folder.mkdir(parents=True, exist_ok=True)
-                lock: contextlib.AbstractContextManager | None = locks.hold(self.folder / QUEUE_LOCK, patience)
+                lock: contextlib.AbstractContextManager | None = locks.acquire(self.folder / QUEUE_LOCK, patience)
             except locks.NoLocks:  # a file system without them
                 lock = contextlib.nullcontext()
             except OSError as error:

@@ -117,7 +117,7 @@ class Basis:
 
     # A change of time, t = begin + length u (joining.py)
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         """A basis in t that holds motion in this basis in u for every (begin, length) of spans; FastGSError where there is none."""
         raise FastGSError(f"the segments cannot be joined: motion in the basis {self.name!r} cannot be moved in time.")
 

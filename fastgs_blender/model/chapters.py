@@ -96,11 +96,11 @@ class Chapters(Sequence):
 
     @property
     def one_time(self) -> bool:
-        """Whether all chapters have the kinds of the first and the clip's time, so that whole() is possible."""
+        """Whether all chapters have the kinds of the first and the clip's time, so that joined() is possible."""
         first = self.chapters[0]
         return all(chapter.kinds is first.kinds and chapter.time == (0.0, 1.0) for chapter in self.chapters)
 
-    def whole(self) -> GaussianModel:
+    def joined(self) -> GaussianModel:
         """One model of all chapters; raises FastGSError where these have kinds or a time of their own."""
         if not self.one_time:
             raise FastGSError(f"{self.about} is a clip whose chapters have motion of their own, so no one model holds it; "

@@ -40,7 +40,7 @@ def is_subject(position: np.ndarray) -> np.ndarray:
     return away <= SPREAD * np.median(away)
 
 
-def looked_at(cameras: Sequence[Viewpoint]) -> tuple[np.ndarray, float] | None:
+def focus_sphere(cameras: Sequence[Viewpoint]) -> tuple[np.ndarray, float] | None:
     """Centre [3] and radius of the ball that cameras of a capture look at; None where they do not say what they look at.
 
     It lies where they look, and is the largest that half of them have whole in their pictures: people frame their subject, and what
@@ -59,7 +59,7 @@ def looked_at(cameras: Sequence[Viewpoint]) -> tuple[np.ndarray, float] | None:
 
 
 def in_ball(position: np.ndarray, ball: tuple[np.ndarray, float] | None) -> np.ndarray:
-    """Which positions [M, 3] lie in looked_at()'s ball: [M] bool; all where there is none, or hardly any of them does."""
+    """Which positions [M, 3] lie in focus_sphere()'s ball: [M] bool; all where there is none, or hardly any of them does."""
     if ball is not None:
         inside = np.linalg.norm(position - ball[0], axis=1) <= ball[1]
         if inside.sum() > len(position) * HARDLY:
@@ -70,7 +70,7 @@ def in_ball(position: np.ndarray, ball: tuple[np.ndarray, float] | None) -> np.n
 def middle(model: GaussianModel) -> np.ndarray:
     """The middle [3] of a model's subject; the origin where it has no Gaussians."""
     place = without_backdrop(model).position
-    place = place[in_ball(place, looked_at(model.surroundings.cameras))]
+    place = place[in_ball(place, focus_sphere(model.surroundings.cameras))]
     return np.median(place[is_subject(place)], axis=0).astype(np.float64) if len(place) else np.zeros(3)
 
 

@@ -135,7 +135,7 @@ def _common(bases: list[Basis], segments: list[Segment]) -> Basis:
     first = bases[0]
     if any(basis != first for basis in bases):
         raise FastGSError("the segments cannot be joined: they move in different bases of time.")
-    return first.whole([(s.begin, s.length) for s in segments])
+    return first.joined([(s.begin, s.length) for s in segments])
 
 
 def _in_whole_time(segment: Segment, number: int, segments: list[Segment], moving: Basis, turning: Basis) -> dict[str, np.ndarray]:

@@ -118,7 +118,7 @@ class Keyframes(Basis):
     def fits(cls, first: float, last: float) -> dict[str, list[Family]]:
         return {"keyframes": [lambda n: cls(tuple(np.linspace(first, last, n + 1)), "catmull-rom")]}
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         """The tables of all segments side by side."""
         if self.interpolation != "linear":
             raise FastGSError("the segments cannot be joined: smooth keyframes of different segments disturb each other; use linear ones.")

@@ -62,7 +62,7 @@ class Static(Basis):
     def curvature(self) -> np.ndarray:
         return np.zeros((0, 0))
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         return self
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
@@ -146,7 +146,7 @@ class Fourier(Basis):
         rate, offset = _onto(first, last)
         return [lambda n: cls(n, 0.5), lambda n: cls(n, 0.5 * rate, 0.5 * offset)]
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         return replace(self, scale=self.scale / _one_length(spans), offset=0.0)
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
@@ -226,7 +226,7 @@ class Cosine(Basis):
         rate, offset = _onto(first, last)
         return [lambda n: cls(n, rate, offset)]
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         return Fourier(self.order, 0.5 * self.scale / _one_length(spans))
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,
@@ -275,7 +275,7 @@ class Polynomial(Basis):
         k = np.arange(1.0, self.degree + 1)
         return np.diag(k * (k - 1) / (2 * np.pi) ** 2)
 
-    def whole(self, spans: list[tuple[float, float]]) -> Basis:
+    def joined(self, spans: list[tuple[float, float]]) -> Basis:
         return self
 
     def retimed(self, whole: Basis, begin: float, length: float, constant: np.ndarray,

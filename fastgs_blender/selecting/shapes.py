@@ -88,7 +88,7 @@ class Ball:
     @classmethod
     def on(cls, surface: np.ndarray, camera: Camera, pixel: tuple[float, float], radius: float) -> "Ball | None":
         """The ball around what is seen at a pixel of the camera's image, which looks `radius` pixels large; None where nothing is seen."""
-        depth = float(_looked_up(surface, camera, np.asarray([pixel], np.float64))[0])
+        depth = float(_sampled(surface, camera, np.asarray([pixel], np.float64))[0])
         if not np.isfinite(depth):
             return None
         spread = 1.0 if camera.orthographic else depth
@@ -176,7 +176,7 @@ def _as_source(instance: ViewedInstance, index: np.ndarray) -> np.ndarray:
     return out
 
 
-def _looked_up(surface: np.ndarray, camera: Camera, pixel: np.ndarray) -> np.ndarray:
+def _sampled(surface: np.ndarray, camera: Camera, pixel: np.ndarray) -> np.ndarray:
     """The surface's depths [M] at pixels [M, 2] of the camera's image."""
     height, width = surface.shape
     x, y = (np.clip(np.nan_to_num(pixel[:, k]) * side / full, 0, side - 1).astype(int)

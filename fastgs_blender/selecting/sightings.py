@@ -45,7 +45,7 @@ SIZES, CLOSE, MOST = (-40.0, 40.0), 1e-12, 1e12
 """Bounds of the logarithms of sizes, the least squared distance and the largest area that are computed with: files hold any numbers."""
 
 
-class Look(NamedTuple):
+class SampledView(NamedTuple):
     """A picture: which of the cameras, that camera with few pixels, and its time."""
 
     number: int
@@ -72,14 +72,14 @@ class Sightings:
     cost: np.ndarray
 
 
-def looks(model: GaussianModel) -> list[Look]:
+def sampled_views(model: GaussianModel) -> list[SampledView]:
     """The pictures, camera by camera, their times spread over the clip; none where the file knows no cameras.
 
     A model that stands still is looked at as often: each picture has other signs.
     """
     cameras = [small(camera_of(view), SIDE) for view in model.surroundings.cameras]
     each = -(-PICTURES // max(len(cameras), 1))
-    return [Look(number, camera, (k + number * GOLDEN % 1) / each) for number, camera in enumerate(cameras) for k in range(each)]
+    return [SampledView(number, camera, (k + number * GOLDEN % 1) / each) for number, camera in enumerate(cameras) for k in range(each)]
 
 
 def sightings(model: GaussianModel, progress: Callable[[float], None] = lambda share: None) -> Sightings:
@@ -103,22 +103,22 @@ def change(model: GaussianModel, hidden: np.ndarray) -> float:
     """
     if not hidden.any():
         return 0.0
-    series = looks(model)
+    series = sampled_views(model)
     series = [series[k] for k in np.linspace(0, len(series) - 1, min(CHECKED, len(series))).round().astype(int)]
     with _lock:
         whole = _whole.get(model)
     if whole is None:
-        whole = [_over_grey(model, look) for look in series]
+        whole = [_over_grey(model, view) for view in series]
         with _lock:
             _whole[model] = whole
     left = model.take(~hidden)
     pairs = zip(series, whole, strict=True)
-    return float(np.mean([np.square(_over_grey(left, look) - before, dtype=np.float64).mean() for look, before in pairs]))
+    return float(np.mean([np.square(_over_grey(left, view) - before, dtype=np.float64).mean() for view, before in pairs]))
 
 
-def _over_grey(model: GaussianModel, look: Look) -> np.ndarray:
+def _over_grey(model: GaussianModel, view: SampledView) -> np.ndarray:
     """A picture [h, w, 3] over grey, so that holes show before bright and dark things."""
-    picture = render(model, look.camera, look.t, backend="cpu")
+    picture = render(model, view.camera, view.t, backend="cpu")
     return picture["rgb"] + 0.5 * (1 - picture["alpha"])[..., None]
 
 
@@ -129,7 +129,7 @@ _lock = threading.Lock()
 
 def _sighted(model: GaussianModel, progress: Callable[[float], None]) -> Sightings:
     """sightings(), computed."""
-    n, series = len(model), looks(model)
+    n, series = len(model), sampled_views(model)
     backend, opacity = load_backend("cpu"), np.minimum(model.opacity, np.float32(OPAQUE))
     size = np.sort(np.exp(np.clip(model.scale.astype(np.float64), *SIZES)), 1)
     shown = 2 * np.pi * sigmoid(model.opacity) * size[:, 1] * size[:, 2]

@@ -16,7 +16,7 @@ import numpy as np
 from ..rendering.instances import Instance
 from ..util.errors import FastGSError
 from ..util.rotations import exp, to_matrices
-from .settling import settled
+from .em_icp import em_icp
 from .similarity import Similarity
 from .skins import Cells, moved, skin
 from .starts import starts
@@ -24,7 +24,7 @@ from .starts import starts
 LEVELS = (6, 11, 20, 40, 100)
 """Cells along the smaller of the two captures, from coarse to fine."""
 WAYS = ((0.0, 2), (0.3, 2), (0.12, 2), (0.0, 0))
-"""Ways to begin, each with the size of settling's cloud in spreads, 0 without it, and the first level."""
+"""Ways to begin, each with the size of EM-ICP's cloud in spreads, 0 without it, and the first level."""
 CLEAR = 0.85
 """Agreement from which on no other way is tried."""
 STEPS = 30
@@ -149,7 +149,7 @@ class _Fit:
         """The fit that is reached from a motion [4, 4]: the best one of several ways to begin."""
         found: list[_Found] = []
         for cloud, level in ways:
-            motion = settled(start, self.moving, self.fixed, self.scale, cloud) if cloud else start
+            motion = em_icp(start, self.moving, self.fixed, self.scale, cloud) if cloud else start
             for cells in self.levels[level:]:
                 motion = self._level(motion, cells) @ motion
             found.append(self._judged(motion))
@@ -189,10 +189,10 @@ class _Fit:
         pairs = _pairs(moving[0], fine, np.eye(4), fine.edge)
         firmness = _solved(*pairs, self.scale, fine.edge)[1] if pairs[3].sum() >= 12 else 0.0
         return _Found(motion, float(np.sqrt(squares / max(count, 1))), max(overlap), on / max(near, 1), firmness,
-                      _told(*colours[0]))
+                      _colour_agreement(*colours[0]))
 
 
-def _told(colours: np.ndarray, others: np.ndarray) -> float:
+def _colour_agreement(colours: np.ndarray, others: np.ndarray) -> float:
     """R^2 of the best affine map from colours [M, 3] to others."""
     if len(colours) < 30 or others.std(0).max() < 0.05:
         return 1.0 if len(colours) >= 30 else 0.0

@@ -9,7 +9,7 @@ from typing import Any
 
 import numpy as np
 
-from .settling import spread
+from .em_icp import spread
 from .skins import Cells
 
 CELLS = 34.0

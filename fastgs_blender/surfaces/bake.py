@@ -15,7 +15,7 @@ from ..model.filmed_from import BAKED
 from ..model.gaussians import Clip, GaussianModel, Raster
 from ..model.motion import Basis, Static
 from ..util import rotations
-from ..util.arguments import numbers, real, whole
+from ..util.arguments import integer, numbers, real
 from ..util.errors import FastGSError
 from .bends import offset_paths, tangent_frames
 from .colours import Colours, Painted
@@ -225,7 +225,7 @@ def surface_samples(positions: np.ndarray, triangles: np.ndarray, count: int = 1
 
 
 def _spread(surface: MovingSurface, count: int) -> SurfaceSamples:
-    return surface.spread(whole(count, "the number of Gaussians", 1, 50_000_000))
+    return surface.spread(integer(count, "the number of Gaussians", 1, 50_000_000))
 
 
 def _checked(positions: Any, triangles: Any, frames: Any = None, frame_count: int | None = None, part: Any = None,
@@ -247,7 +247,7 @@ def _checked(positions: Any, triangles: Any, frames: Any = None, frame_count: in
         raise FastGSError("frames must be increasing numbers, one for each time at which positions are given.")
     if frame_count is None:
         frame_count = max(int(np.floor(frames[-1])), 0) + 1
-    frame_count = whole(frame_count, "the number of frames of the clip", 1, 10_000_000)
+    frame_count = integer(frame_count, "the number of frames of the clip", 1, 10_000_000)
     surface = MovingSurface(positions, triangles.astype(np.int64), _numbers("part", part, triangles), _numbers("patch", patch, triangles))
     if not surface.areas.any():
         raise FastGSError("the faces have no area in any frame: there is no surface to bake.")

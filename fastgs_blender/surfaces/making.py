@@ -8,12 +8,12 @@ from typing import Any
 import numpy as np
 
 from ..model.gaussians import GaussianModel
-from ..util.arguments import real, shown, whole
+from ..util.arguments import integer, real, shown
 from ..util.errors import FastGSError
 from .carrying import carry
 from .carving import Surface, carved
 from .quads import normals
-from .views import look, subject_of
+from .views import render_views, subject_of
 
 LEAST = 0.01
 """Share of the surface that a piece must have; smaller ones are taken for floaters."""
@@ -93,7 +93,8 @@ def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed
     """
     if not isinstance(model, GaussianModel):
         raise FastGSError(f"a mesh is made of a model whose Gaussians move, as fg.load(path) reads it, not of {shown(model)}.")
-    t, detail, smoothing = real(t, "the time of a model"), whole(detail, "the detail", 8, 1024), whole(smoothing, "the smoothing", 0, 1000)
+    t, detail = real(t, "the time of a model"), integer(detail, "the detail", 8, 1024)
+    smoothing = integer(smoothing, "the smoothing", 0, 1000)
     progress = progress or (lambda share: None)
     times = np.union1d(times_of(model), np.clip(t, 0, (model.clip.frame_count - 1) / model.clip.frame_count))
     waiting, found = [(0, len(times), int(np.abs(times - t).argmin()))], list[MovingMesh]()
@@ -128,7 +129,7 @@ def _made(model: GaussianModel, t: float, times: np.ndarray, detail: int, closed
           progress: Callable[[float], Any]) -> MovingMesh:
     """The mesh that is made at a time t, for as many of the times around it as it does not tear."""
     subject = subject_of(model, t)
-    views = look(subject, detail, lambda share: progress(0.4 * share))
+    views = render_views(subject, detail, lambda share: progress(0.4 * share))
     surface = carved(subject, views, detail, smoothing, LEAST, lambda share: progress(0.4 + 0.2 * share))
     if not closed:
         surface = surface.take(_filmed(model, surface))

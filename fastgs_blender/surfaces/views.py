@@ -9,7 +9,7 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..cameras.parallel import parallel_camera
 from ..model.filmed_from import directions
-from ..model.framing import in_ball, inside_backdrop, is_subject, looked_at
+from ..model.framing import focus_sphere, in_ball, inside_backdrop, is_subject
 from ..model.gaussians import GaussianModel
 from ..model.slicing import freeze, slice_model
 from ..rendering.api import render
@@ -70,7 +70,7 @@ def subject_of(model: GaussianModel, t: float) -> Subject:
     now = slice_model(model, t)
     seen = now.opacity >= FAINT
     place, index = now.position[seen], now.index[seen]
-    wanted = np.isin(index, inside_backdrop(model)) & in_ball(place, looked_at(model.surroundings.cameras)) & is_subject(place)
+    wanted = np.isin(index, inside_backdrop(model)) & in_ball(place, focus_sphere(model.surroundings.cameras)) & is_subject(place)
     if not wanted.any():
         raise FastGSError("nothing is there of which a surface could be made; choose another frame.")
     spread = 2 * np.exp(model.scale[index].max(1))[wanted, None]
@@ -78,7 +78,7 @@ def subject_of(model: GaussianModel, t: float) -> Subject:
     return Subject(model.take(np.sort(index[wanted])), t, low, high)
 
 
-def look(subject: Subject, detail: int, progress: Callable[[float], Any]) -> list[View]:
+def render_views(subject: Subject, detail: int, progress: Callable[[float], Any]) -> list[View]:
     """The subject from VIEWS directions; detail: voxels along the box's longest side."""
     pixels = int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER))
     found, still = [], freeze(subject.model, subject.t)

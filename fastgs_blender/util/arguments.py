@@ -29,7 +29,7 @@ def real(value: Any, what: str, low: float = -np.inf, high: float = np.inf) -> f
     return float(value)
 
 
-def whole(value: Any, what: str, low: int, high: int) -> int:
+def integer(value: Any, what: str, low: int, high: int) -> int:
     """A whole number from low to high; 64.0 is one, 64.5 is not."""
     if not finite(value) or value != int(value):
         raise FastGSError(f"{what} must be a whole number, not {shown(value)}.")

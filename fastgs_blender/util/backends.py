@@ -77,7 +77,7 @@ def describe_devices(part: str = "", test: bool = True, again: bool = False, tel
     return _module("kernels.gpu.choice").describe(part, test, again, tell)
 
 
-def known_verdict(adapter: Any) -> Verdict | None:
+def stored_verdict(adapter: Any) -> Verdict | None:
     """The Verdict of an adapter as examine() of choose_device() is given it; None where it has not been tested."""
     return _module("kernels.gpu.choice").known(adapter)
 

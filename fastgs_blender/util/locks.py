@@ -19,14 +19,14 @@ LOCKED = {errno.EACCES, errno.EAGAIN, errno.EWOULDBLOCK, errno.EDEADLK}
 INHERITED = "FASTGS_LOCK_HANDLE"
 """Environment variable with the handle of a lock that a process was given by the one that started it (POSIX)."""
 TRIES, PAUSE = 5, 0.01
-"""is_held() on Windows: a look holds the file for a moment, so another look a moment later decides."""
+"""is_locked() on Windows: a look holds the file for a moment, so another look a moment later decides."""
 
 
 class NoLocks(OSError):
     """The file system has no locks."""
 
 
-def hold(path: str | os.PathLike, patience: float = 0.0) -> BinaryIO | None:
+def acquire(path: str | os.PathLike, patience: float = 0.0) -> BinaryIO | None:
     """Hold the file until it is closed or this process ends; returns the open file, None where another process holds it.
 
     patience  seconds to go on trying
@@ -48,8 +48,8 @@ def hold(path: str | os.PathLike, patience: float = 0.0) -> BinaryIO | None:
         time.sleep(0.02)
 
 
-def let_go(file: BinaryIO, remove: Path | None = None) -> None:
-    """End a hold; `remove` is its path where the file goes too, unless another process has taken it meanwhile."""
+def release(file: BinaryIO, remove: Path | None = None) -> None:
+    """End a lock; `remove` is its path where the file goes too, unless another process has taken it meanwhile."""
     if remove and os.name != "nt":  # before another process can hold it: that one then finds that the file is no longer there
         remove.unlink()
     file.close()
@@ -76,7 +76,7 @@ def handed_over(file: BinaryIO) -> tuple[dict, dict[str, str]]:
     return ({}, {}) if os.name == "nt" else ({"pass_fds": (file.fileno(),)}, {INHERITED: str(file.fileno())})
 
 
-def is_held(path: str | os.PathLike) -> bool:
+def is_locked(path: str | os.PathLike) -> bool:
     """Whether a process holds the file; False where there is no such file, or no locks in its file system."""
     try:
         file = open(path, "r+b")  # noqa: SIM115

@@ -98,7 +98,7 @@ def _aside(folder: Path) -> Iterator[Path]:
     lock = None
     try:
         with suppress(locks.NoLocks):
-            lock = locks.hold(aside / LOCK)
+            lock = locks.acquire(aside / LOCK)
         yield aside
     finally:
         if lock is not None:
@@ -117,7 +117,7 @@ def _remove_dead(path: Path) -> None:
             path.unlink()
         elif stat.S_ISDIR(about.st_mode) and ASIDE.fullmatch(path.name):
             try:
-                lock = locks.hold(path / LOCK) if (path / LOCK).exists() or old else None
+                lock = locks.acquire(path / LOCK) if (path / LOCK).exists() or old else None
             except locks.NoLocks:
                 lock = open(os.devnull, "rb") if old else None  # noqa: SIM115 (closed below)
             if lock is not None:

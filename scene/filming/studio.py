@@ -90,7 +90,7 @@ class Studio:
     def filmed_by(self, obj: bpy.types.Object) -> fg.Camera:
         """The library's camera of one of the scene's own cameras, on the current frame."""
         width, height = self._size
-        found = cameras.camera_of(obj.evaluated_get(self.depsgraph), cameras.RenderArea.whole(width, height), self.depsgraph)
+        found = cameras.camera_of(obj.evaluated_get(self.depsgraph), cameras.RenderArea.full(width, height), self.depsgraph)
         if found.orthographic:
             raise fg.FastGSError(f'the camera "{obj.name}" is orthographic, and training needs perspective ones; choose other cameras.')
         return found

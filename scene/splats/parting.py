@@ -85,7 +85,7 @@ def from_file(context, obj) -> list[bpy.types.Object]:
     return made
 
 
-def whole_of(obj) -> GaussianModel:
+def with_parts_joined(obj) -> GaussianModel:
     """What an object shows of its file, with what those of its children show that are parts of it, by their names.  Raises FastGSError."""
     model, own, named = objects.load_one_model(obj, "exported as one model"), selection.bits(obj, "part"), {}
     for child in obj.children_recursive:

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...fastgs_blender.model.framing import in_ball, inside_backdrop, is_subject, looked_at, without_backdrop
+from ...fastgs_blender.model.framing import focus_sphere, in_ball, inside_backdrop, is_subject, without_backdrop
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
@@ -97,7 +97,7 @@ def _choose(source: Source, limit: int) -> Points:
     times = sorted({round(x) / frames for x in np.linspace(0, frames - 1, MOMENTS)})
     moments = [_sample(source, t, PROBES) for t in times]
     box = _robust_box([s.position for s, _ in moments])
-    ball = looked_at(source.moment(times[0], hold=True)[0].surroundings.cameras)
+    ball = focus_sphere(source.moment(times[0], hold=True)[0].surroundings.cameras)
     subject = box if box is None else _robust_box([s.position[in_ball(s.position, ball)] for s, _ in moments])
     subject = np.zeros((2, 3)) if subject is None else np.array(subject)
     if limit < 1 or box is None:

@@ -171,7 +171,7 @@ def _frame_camera(obj, depsgraph) -> fg.Camera:
     else:
         width, height = (v * render.resolution_percentage // 100 for v in (render.resolution_x, render.resolution_y))
         aspect = render.pixel_aspect_x, render.pixel_aspect_y
-    camera = cameras.camera_of(obj, cameras.RenderArea.whole(width, height), depsgraph, aspect=aspect)
+    camera = cameras.camera_of(obj, cameras.RenderArea.full(width, height), depsgraph, aspect=aspect)
     if camera.orthographic:
         raise FastGSError(f'the camera "{obj.name}" is orthographic, and training needs perspective ones; remove its background.')
     return camera

@@ -24,10 +24,10 @@ _readings: list[tuple[Job, results.Reading]] = []
 
 def found() -> list[tuple[Job, State]]:
     """The jobs and their states when the queue was last read."""
-    return look() if _found is None else _found
+    return refresh() if _found is None else _found
 
 
-def look() -> list[tuple[Job, State]]:
+def refresh() -> list[tuple[Job, State]]:
     """Read the jobs and their states now."""
     global _found
     known = installation.jobs()
@@ -50,24 +50,24 @@ def current() -> tuple[Job, State] | None:
 
 def begin() -> None:
     """Start a timer that looks at the jobs until none is running or waiting."""
-    look()
+    refresh()
     if not bpy.app.background and not bpy.app.timers.is_registered(_tick):
         bpy.app.timers.register(_tick, first_interval=EVERY, persistent=True)
 
 
 def _tick():
     try:
-        return _look_and_report()
+        return _poll()
     except Exception:  # a timer that raises is never called again
         log.exception("Looking at the training jobs failed")
         return 10 * EVERY
 
 
-def _look_and_report():
+def _poll():
     known = installation.jobs()
     known.start_next(patience=0.0)  # another Blender that changes the list will have started it by the next look
     before = _found
-    rows = look()
+    rows = refresh()
     for job, state in rows:
         if state.running:
             displays.update(job)

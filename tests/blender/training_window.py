@@ -214,7 +214,7 @@ def train_again(area, settings, job, barrier):
     kinds = []
 
     def look_at():
-        kind = watch.look()[-1][1].kind
+        kind = watch.refresh()[-1][1].kind
         if kinds[-1:] != [kind]:
             kinds.append(kind)
         return kind
@@ -223,14 +223,14 @@ def train_again(area, settings, job, barrier):
     look_at()
     barrier.release()
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED'))
-    new, state = watch.look()[-1]
+    new, state = watch.refresh()[-1]
     yield from until(lambda: bpy.context.window_manager.windows[0].modal_operators or new.reported, 2)
     yield from press('ESC', area)  # the popup that tells of the end
     yield from click(area, "fastgs.train_forget", 0.81)
     yield 1.0
     shot("asked")
-    listed = len(watch.look())
+    listed = len(watch.refresh())
     yield from press('RET', area)
-    yield from until(lambda: len(watch.look()) < listed)
+    yield from until(lambda: len(watch.refresh()) < listed)
     return {"kinds": kinds, "another": new.id != job.id, "steps": state.values.get("iterations"), "text": state.text,
-            "listed": [listed, len(watch.look())]}
+            "listed": [listed, len(watch.refresh())]}

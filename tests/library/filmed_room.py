@@ -60,7 +60,7 @@ def picture(angle: float, moment: float, detail: int = 2) -> np.ndarray:
         inside = (t > 1e-6) & (t < nearest) & np.all([(where[..., i] >= low[i]) & (where[..., i] <= high[i]) for i in others], 0)
         nearest[inside] = t[inside]
         uv = where[inside][:, others] - [low[i] if np.isfinite(low[i]) else 0.0 for i in others]  # textures move with their boxes
-        colour[inside] = _looked_up(texture(k % 6), uv * 150)
+        colour[inside] = _sampled(texture(k % 6), uv * 150)
     return colour.reshape(SIZE[1], detail, SIZE[0], detail, 3).mean((1, 3))
 
 
@@ -79,7 +79,7 @@ def _faces(moment: float):
                 yield axis, at, low, high
 
 
-def _looked_up(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
+def _sampled(image: np.ndarray, uv: np.ndarray) -> np.ndarray:
     """Bilinear samples [M, 3], periodic."""
     whole = np.floor(uv).astype(int)
     share = (uv - whole)[..., None]

@@ -24,7 +24,7 @@ def recognises(values: object) -> bool:
 
 
 def load(file: Path, values: dict, picture: Picture) -> CameraPath:
-    version = poses.whole(values.get("version", VERSION), f"{file}: its version", 1, 10**6)
+    version = poses.integer(values.get("version", VERSION), f"{file}: its version", 1, 10**6)
     if version > VERSION:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
     axes = values.get("axes", "RDF")
@@ -36,7 +36,7 @@ def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     return CameraPath(
         [_camera(entry, f"{file}: frame {i}") for i, entry in enumerate(frames)],
         poses.number(values.get("fps", picture.fps), f"{file}: its fps", 1e-3, 1e6),
-        poses.whole(values.get("start_frame", 1), f"{file}: its start_frame", -10**9, 10**9), axes,
+        poses.integer(values.get("start_frame", 1), f"{file}: its start_frame", -10**9, 10**9), axes,
         names=names_of(frames), keys=[(poses.number(poses.table(entry, f"{file}: key {i}").get("frame"), f"{file}: key {i}: its frame"),
           _camera(entry, f"{file}: key {i}")) for i, entry in enumerate(keys)])
 

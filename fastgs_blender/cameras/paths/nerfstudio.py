@@ -28,7 +28,7 @@ def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     kind = values.get("camera_type", "perspective")
     if str(kind).lower() != "perspective":
         raise FastGSError(f"{file}: its cameras are of the type {shortened(kind)}, and only perspective ones can be used here.")
-    width, height = (poses.whole(values.get(key, default), f"{file}: its {key}", 1, LARGEST_SIDE)
+    width, height = (poses.integer(values.get(key, default), f"{file}: its {key}", 1, LARGEST_SIDE)
                      for key, default in (("render_width", picture.width), ("render_height", picture.height)))
     base.check_frames(file, values["camera_path"])
     cameras = []

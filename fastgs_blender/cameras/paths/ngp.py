@@ -46,11 +46,11 @@ def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     base.check_frames(file, values["path"])
     keys = np.array([_key(entry, f"{file}: keyframe {i}") for i, entry in enumerate(values["path"])])
     if "fps" in values:
-        width, height = (poses.whole(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height"))
+        width, height = (poses.integer(values.get(key), f"{file}: its {key}", 1, LARGEST_SIDE) for key in ("width", "height"))
         picture = Picture(width, height, poses.number(values["fps"], f"{file}: its fps", 1e-3, 1e6))
         return CameraPath([_camera(key, picture, f"{file}: keyframe {i}") for i, key in enumerate(keys)], picture.fps, axes="RFU",
                           names=base.names_of(values["path"]))
-    order = poses.whole(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
+    order = poses.integer(values.get("spline_order", 3), f"{file}: its spline_order", 0, 3)
     loop = bool(values.get("loop", False))
     ends = _ends(file, values, len(keys), order, loop, picture.fps)
     last = ends[-1] if len(ends) else 0.0

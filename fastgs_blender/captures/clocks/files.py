@@ -57,7 +57,7 @@ def read_clocks(capture: str | os.PathLike) -> Clocks | None:
     values = read_json(path)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise FastGSError(f'{path}: it does not say "format": "{FORMAT}"; remove it, or find the offsets again with fastgs sync.')
-    version = poses.whole(values.get("version", VERSION), f"{path}: its version", 1, 10**6)
+    version = poses.integer(values.get("version", VERSION), f"{path}: its version", 1, 10**6)
     if version > VERSION:
         raise FastGSError(f"{path}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
     table = poses.table(values.get("offsets"), f"{path}: its offsets")

@@ -13,7 +13,7 @@ from ..evidence import differs
 from . import epipolar
 from .curves import Curves, activity, curves, flashes, moving
 from .files import Clocks
-from .lags import COMMON_SHARE, LEAST_COMMON, compared, grown, settled
+from .lags import COMMON_SHARE, LEAST_COMMON, compared, grown, offsets_from_pairs
 from .sound import heard, onsets
 
 WAYS = ("auto", "sound", "flash", "motion")
@@ -81,7 +81,7 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
     shown = curves(capture, progress)
     flash = flashes(shown) if way in ("auto", "flash") else None
     if flash is not None:
-        found = _settled(capture, shown, list(flash), list(range(len(flash))), "flash")
+        found = _aligned(capture, shown, list(flash), list(range(len(flash))), "flash")
         if not found.lost or way == "flash":
             return found
     elif way == "flash":
@@ -98,7 +98,7 @@ def by_epipolar_planes(capture: Capture, progress: Callable[[int, int], None] | 
     views, pairs = epipolar.pairs(capture, progress or (lambda done, of: None), pictures)
     if not pairs:
         return None
-    offsets, deviations = settled(len(views), pairs)
+    offsets, deviations = offsets_from_pairs(len(views), pairs)
     centres = {shot.view: shot.camera.centre for shot in capture.shots if shot.camera is not None}
     # Clocks do not go by where cameras stand, but when the sides of a thing that turns are seen does.
     deviations = np.hypot(deviations, grown(offsets, np.array([centres[view] for view in views])))
@@ -112,7 +112,7 @@ def _by_curves(capture: Capture, shown: Curves) -> Found:
         some = "more than one" if usable else "any"
         raise FastGSError(f"{capture.path}: nothing moves in the pictures of {some} of its cameras, so clocks cannot be compared; choose "
                           "a part of the clip in which something moves, or clap or flash a lamp when you film.")
-    found = _settled(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion")
+    found = _aligned(capture, shown, [activity(shown.change[k]) for k in usable], usable, "motion")
     if not found.measured:
         raise FastGSError(f"{capture.path}: what moves looks too different from camera to camera for their clocks to be compared; choose a "
                           "longer part of the clip, or clap or flash a lamp when you film.")
@@ -132,14 +132,14 @@ def _pairs(count: int) -> list[tuple[int, int]]:
     return [(i, (i + k) % count) for k in range(1, min(NEIGHBOURS, count // 2) + 1) for i in range(count) if 2 * k < count or i < k]
 
 
-def _settled(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str) -> Found:
+def _aligned(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: list[int], way: str) -> Found:
     """The Found offsets of the views `rows`, by aligning their curves `lines`."""
     length = min(map(len, lines))
     most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
     error, chance = (CURVES_ERROR, CHANCE) if way == "motion" else (FLASH_ERROR, 0.0)
     pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most, error)) is not None]
     pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
-    offsets, spread = settled(len(lines), pairs)
+    offsets, spread = offsets_from_pairs(len(lines), pairs)
     spread = np.hypot(spread, error)  # what curves of several cameras are alike in is wrong in the same way
     values = {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}
     return _found(capture, values, way, shown, VAGUE if way == "motion" else np.inf)
@@ -177,7 +177,7 @@ def _by_sound(capture: Capture) -> Found | None:
         return None
     pairs = [pair for i, j in _pairs(len(views)) if (pair := heard([lines[view] for view in views], i, j)) is not None]
     pairs = [replace(pair, lag=pair.lag * capture.clip.fps, error=pair.error * capture.clip.fps) for pair in pairs]
-    offsets, spread = settled(len(views), pairs)
+    offsets, spread = offsets_from_pairs(len(views), pairs)
     if not np.isfinite(offsets).any():
         return None
     moved = {shot.view: shot.frame - shot.image.frame for shot in capture.shots if shot.image.frame is not None}  # sounds begin with files

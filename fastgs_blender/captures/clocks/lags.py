@@ -80,7 +80,7 @@ def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:
     return p1 + 0.5 * u * (p2 - p0 + u * (2 * p0 - 5 * p1 + 4 * p2 - p3 + u * (3 * (p1 - p2) + p3 - p0)))
 
 
-def settled(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
+def offsets_from_pairs(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, np.ndarray]:
     """(offsets [count], their standard deviations [count]) that agree best with the pairs; the median of the offsets is 0.
 
     The sum of absolute differences is least, so that a few wrong pairs do no harm.  Where pairs differ from the offsets by more than their

@@ -54,11 +54,11 @@ def load(path: Path, options: Options) -> Capture:
     values = read_json(file)
     if not isinstance(values, dict) or values.get("format") != FORMAT:
         raise FastGSError(f'{file}: it does not say "format": "{FORMAT}", so it is another program\'s.')
-    version = poses.whole(values.get("version", VERSION), where + "its version", 1, 10**6)
+    version = poses.integer(values.get("version", VERSION), where + "its version", 1, 10**6)
     if version > VERSION:
         raise FastGSError(f"{file}: its version {version} is newer than this program, which knows version {VERSION}; update it.")
-    count = poses.whole(poses.needed(values, "frame_count", file), where + "its frame_count", 1, MOST_FRAMES)
-    start = poses.whole(values.get("start_frame", 1), where + "its start_frame", -10**9, 10**9)
+    count = poses.integer(poses.needed(values, "frame_count", file), where + "its frame_count", 1, MOST_FRAMES)
+    start = poses.integer(values.get("start_frame", 1), where + "its start_frame", -10**9, 10**9)
     mask_means, axes, colour = (_choice(values, key, known, where) for key, known in (
         ("masks", MASKS), ("axes", AXES), ("colour", COLOURS)))
     faults: list[str] = []
@@ -99,7 +99,7 @@ def _camera(folder: Path, entry: dict, where: str, count: int, start: int, colou
     if not video.is_file():
         pictures = _numbered(folder / called, count, start, colour=colour, **settings)
     else:
-        first = poses.whole(entry.get("video_start", 0), f"{where}: its video_start", 0, MOST_FRAMES)
+        first = poses.integer(entry.get("video_start", 0), f"{where}: its video_start", 0, MOST_FRAMES)
         pictures = video_frames(video, faults, **settings)[0][first:]
     masks = folder / "masks" / called
     return RigCamera(called, pictures, _pose(entry, where, count), _numbered(masks, count, start) if masks.is_dir() else ())

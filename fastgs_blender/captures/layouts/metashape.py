@@ -94,7 +94,7 @@ def _calibration(sensor: ET.Element, where: str) -> tuple[np.ndarray, Lens, tupl
                           "again.")
     value = {key: poses.number((_floats(calibration.findtext(key), where) or [0.0])[0], f"{where}: its {key}")
              for key in ("f", "cx", "cy", "b1", "b2", "k1", "k2", "k3", "k4", "p1", "p2", "p3", "p4")}
-    width, height = (poses.whole((_floats(resolution.get(side), where) or [0.0])[0], f"{where}: its {side}", 1, 1 << 20)
+    width, height = (poses.integer((_floats(resolution.get(side), where) or [0.0])[0], f"{where}: its {side}", 1, 1 << 20)
                      for side in ("width", "height"))
     if not value["f"] > 0:
         raise FastGSError(f"{where}: its sensor has no focal length f; export the cameras again.")

@@ -82,7 +82,7 @@ class FrameStore:
         return FrameStore(capture, self.budget, None if self._bounded else self.folder)
 
     @property
-    def held_bytes(self) -> int:
+    def memory_bytes(self) -> int:
         """Bytes of pixels in memory now."""
         return self._held_bytes
 

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The folder of a run, held by the process that trains in it.  A run that cannot begin leaves nothing behind."""
+"""The folder of a run, taken by the process that trains in it.  A run that cannot begin leaves nothing behind."""
 import contextlib
 import os
 from pathlib import Path
@@ -13,7 +13,7 @@ PATIENCE = 5.0
 """Seconds to wait for another process that trains in the folder: it may be about to end."""
 
 
-class _Held(NamedTuple):
+class _Taken(NamedTuple):
     """A folder that this process holds.
 
     lock  None where the file system has no locks
@@ -25,7 +25,7 @@ class _Held(NamedTuple):
     owns: bool
 
 
-_held: dict[str, _Held] = {}
+_taken: dict[str, _Taken] = {}
 """By folder."""
 
 
@@ -39,9 +39,9 @@ def take(out: str | Path) -> None:
     try:
         made += [path for path in (out, *out.parents) if not path.exists()]
         out.mkdir(parents=True, exist_ok=True)
-        if os.path.realpath(out) not in _held:
+        if os.path.realpath(out) not in _taken:
             owns = not (out / LOCK).exists()
-            _held[os.path.realpath(out)] = _Held(_lock(out), made, owns)
+            _taken[os.path.realpath(out)] = _Taken(_lock(out), made, owns)
     except FastGSError:
         _remove(made)
         raise
@@ -53,14 +53,14 @@ def take(out: str | Path) -> None:
 def release(out: str | Path) -> None:
     """Let other processes train in the folder again; what take() made is removed if no run has begun there."""
     out = Path(out)
-    held = _held.pop(os.path.realpath(out), None)
-    if held is None:
+    taken = _taken.pop(os.path.realpath(out), None)
+    if taken is None:
         return
     begun = any((out / name).exists() for name in (RUN, STATUS))
-    if held.lock is not None:
-        locks.let_go(held.lock, out / LOCK if held.owns and not begun else None)
+    if taken.lock is not None:
+        locks.release(taken.lock, out / LOCK if taken.owns and not begun else None)
     if not begun:
-        _remove(held.made)
+        _remove(taken.made)
 
 
 def _remove(made: list[Path]) -> None:
@@ -73,7 +73,7 @@ def _remove(made: list[Path]) -> None:
 def _lock(out: Path) -> BinaryIO | None:
     """The lock of a run's folder; None where the file system has no locks.  Raises FastGSError where another process has it."""
     try:
-        lock = locks.hold(out / LOCK, PATIENCE)
+        lock = locks.acquire(out / LOCK, PATIENCE)
     except locks.NoLocks:
         return None
     except OSError as error:

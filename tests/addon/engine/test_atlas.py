@@ -35,12 +35,12 @@ def held(parts, atlas, model) -> np.ndarray:
 def test_of_a_sequence_only_its_own_frame_is_sent(parts, make_model, monkeypatch):
     atlas = parts.atlas.Atlas()
     still, *frames = make_model(60_000), *(make_model(3000 - 10 * seed, seed=seed) for seed in range(1, 5))
-    atlas.hold([still, frames[0]])
+    atlas.upload([still, frames[0]])
     texture, version, frame_bytes = atlas.geometry, atlas.version, 16 * (parts.textures.WIDTH * 2 + parts.textures.WIDTH)
     for shown in frames[1:]:
         monkeypatch.setattr(parts.textures.Sent, "bytes", 0)
         atlas.pack([still, shown])
-        atlas.hold([still, shown])
+        atlas.upload([still, shown])
         assert 0 < parts.textures.Sent.bytes <= frame_bytes
         assert atlas.geometry is texture and atlas.version > version
         for model in (still, shown):
@@ -53,22 +53,22 @@ def test_room_is_made_once_for_frames_that_grow_and_given_back(parts, make_model
     atlas, made = parts.atlas.Atlas(), []
     for count in range(4000, 20_000, 1000):
         model = make_model(count, seed=count)
-        atlas.hold([model])
+        atlas.upload([model])
         if not made or made[-1] is not atlas.geometry:
             made.append(atlas.geometry)
         np.testing.assert_array_equal(held(parts, atlas, model), texels(parts, model))
     assert len(made) < 9
     large = atlas.nbytes
-    atlas.hold([make_model(10)])
+    atlas.upload([make_model(10)])
     assert atlas.nbytes < large / 4
 
 
 def test_two_views_that_are_on_different_frames(parts, make_model):
     atlas = parts.atlas.Atlas()
     one, two, three = (make_model(5000, seed=seed) for seed in range(3))
-    atlas.hold([one])
-    atlas.hold([two], keep=[one])
-    atlas.hold([three], keep=[two])
+    atlas.upload([one])
+    atlas.upload([two], keep=[one])
+    atlas.upload([three], keep=[two])
     assert atlas.has([two, three]) and not atlas.has([one])
     for model in (two, three):
         np.testing.assert_array_equal(held(parts, atlas, model), texels(parts, model))

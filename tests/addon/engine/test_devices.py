@@ -45,7 +45,7 @@ def card(devices, backends, monkeypatch):
             return "auto", f"Arc {why}: the CPU is used."
 
         monkeypatch.setattr(backends, "choose_device", choose)
-        monkeypatch.setattr(backends, "known_verdict", lambda adapter: None if verdict is None else backends.Verdict(verdict))
+        monkeypatch.setattr(backends, "stored_verdict", lambda adapter: None if verdict is None else backends.Verdict(verdict))
         listed = {"name": "Arc", "kind": "graphics card", "interface": "Vulkan", "driver": "driver 1", "software": False,
                   "largest_bytes": 1, "self_test": verdict, "frame_ms": (5.0, 20.0), "step_ms": (30.0, 90.0)}
         monkeypatch.setattr(backends, "describe_devices", lambda **how: {"devices": [listed], "auto": "Arc", "reason": "Arc is used."})
@@ -183,7 +183,7 @@ def test_a_real_adapter_draws_what_the_reference_draws(scene, fg, module, device
     if not names:
         pytest.skip("no GPU, and none in software (mesa-vulkan-drivers)")
     monkeypatch.setattr(module("scene.settings"), "gpu", names[0])
-    monkeypatch.setattr(backends, "known_verdict", lambda adapter: backends.Verdict(""))
+    monkeypatch.setattr(backends, "stored_verdict", lambda adapter: backends.Verdict(""))
     picture = shot()
     name = f"gpu:{names[0]}"
     assert name in backends.loaded and backends.failure_of(name) == ""

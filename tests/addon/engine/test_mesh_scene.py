@@ -61,5 +61,5 @@ def test_it_goes_with_the_scene_of_the_splats(scene, screen, add_camera, choose,
     choose()
     bpy.context.window.scene = bpy.data.scenes.new("Kept")
     bpy.data.scenes.remove(scene)
-    module("scene.composite")._settle_all()
+    module("scene.composite")._sync_all()
     assert [each.name for each in bpy.data.scenes] == ["Kept"]

@@ -321,8 +321,8 @@ def test_models_that_nobody_shows_leave_the_gpu(module, fg, make_model, scene):
     open_gpu(scene)
     atlas = module("engine.viewport.atlas").Atlas()
     one, two, three = (make_model(50, seed=seed) for seed in range(3))
-    atlas.hold([one, two])
-    atlas.hold([three], keep=[one])
+    atlas.upload([one, two])
+    atlas.upload([three], keep=[one])
     assert atlas.has([one, three]) and not atlas.has([two])
     assert atlas.nbytes > 0
     atlas.clear()
@@ -345,7 +345,7 @@ def test_replaced_textures_are_freed(module, make_model, model_file, snapshot, e
 
     draw(snapshot(model_file(make_model(50))), eye(), wait=True)
     texture = view.atlas.geometry
-    view.atlas.hold([make_model(9000)])
+    view.atlas.upload([make_model(9000)])
     gc.collect()
     assert sys.getrefcount(texture) == 2
 
@@ -354,7 +354,7 @@ def test_a_model_too_large_for_textures_is_refused(module, fg, make_model, scene
     atlas = module("engine.viewport.atlas")
     monkeypatch.setattr(atlas, "ROWS", 0)
     with pytest.raises(atlas.TooLarge):
-        atlas.Atlas().hold([make_model(5)])
+        atlas.Atlas().upload([make_model(5)])
 
 
 def test_viewport_visibility_is_asked_for_objects_and_instancers(module, scene, make_model, model_file, splat_object):

@@ -72,7 +72,7 @@ def drawn(module, gpu_scene):
     def draw(parts, camera, depth=None, keep=lambda indices: indices, **look):
         parts = [instance(*part).viewed(camera) for part in parts]
         textures, shown = atlas.Atlas(), picture.Picture()
-        textures.hold([part.model for part in parts])
+        textures.upload([part.model for part in parts])
 
         def resolve(framebuffer):
             kept = keep(order(parts, camera))

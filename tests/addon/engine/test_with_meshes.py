@@ -62,9 +62,9 @@ def test_a_render_that_is_under_way_keeps_its_scenes(scene, screen, add_camera, 
     other, composite = choose(), module("scene.composite")
     monkeypatch.setattr(composite, "_rendering", lambda: True)
     scene.fastgs.render_meshes = 'OFF'
-    assert other in list(bpy.data.scenes) and composite._settle_all() > 0
+    assert other in list(bpy.data.scenes) and composite._sync_all() > 0
     monkeypatch.setattr(composite, "_rendering", lambda: False)
-    assert composite._settle_all() is None and list(bpy.data.scenes) == [scene] and tree_of(scene) is None
+    assert composite._sync_all() is None and list(bpy.data.scenes) == [scene] and tree_of(scene) is None
 
 
 def test_it_is_one_step_of_undo(scene, screen, add, add_camera):

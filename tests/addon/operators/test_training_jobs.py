@@ -260,7 +260,7 @@ def run_pressed(press, scene, module, **settings):
     job, kinds = jobs.all()[-1], []
 
     def ended():
-        every = watch._look_and_report()
+        every = watch._poll()
         kinds.append(jobs.state(jobs.get(job.id)).kind)
         return every is None and not jobs.alive(job)
 

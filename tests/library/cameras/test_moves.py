@@ -97,7 +97,7 @@ def test_the_region_is_the_hull_of_the_cameras_and_a_margin(rng):
     path = moves.Path(points, np.tile([1.0, 0, 0, 0], (4, 1)), np.ones(4))
     beyond = moves.inside(path, cube, 0.1)
     assert beyond[0] == beyond[1] == 0 and np.allclose(beyond[2:], (0.2, np.sqrt(12) - 0.1), atol=2e-3)
-    held = moves.held_inside(path, cube, 0.1)
+    held = moves.clamp_to_hull(path, cube, 0.1)
     np.testing.assert_allclose(held.position[:2], points[:2])
     np.testing.assert_allclose(held.position[2:], [[1.1, 0, 0], np.full(3, 1 + 0.1 / np.sqrt(3))], atol=2e-3)
     flat = cube[cube[:, 2] > 0]  # an arc or a wall of cameras spans a region too

@@ -269,7 +269,7 @@ def test_labels_of_evaluation_do_not_depend_on_clocks(shifted):
 def test_one_wrong_pair_does_no_harm():
     pairs = [lags.Pair(i, j, (0.0, 1.0, -2.0, 0.0)[j] - (0.0, 1.0, -2.0, 0.0)[i], 0.9, 0.5) for i in range(4) for j in range(i + 1, 4)]
     pairs[0] = replace(pairs[0], lag=9.0)
-    offsets, _ = lags.settled(5, pairs)
+    offsets, _ = lags.offsets_from_pairs(5, pairs)
     assert offsets[:4] == pytest.approx([0, 1, -2, 0], abs=0.01) and np.isnan(offsets[4])
 
 

@@ -26,7 +26,7 @@ RUN = """
 import os, sys, time
 sys.path.insert(0, sys.argv[1])
 from fastgs_blender.util import locks
-held = locks.inherited() or locks.hold(sys.argv[2], 30.0)
+held = locks.inherited() or locks.acquire(sys.argv[2], 30.0)
 out, stop = sys.argv[4], sys.argv[3]
 def status(state):
     with open(os.path.join(out, "part"), "w") as file:
@@ -209,7 +209,7 @@ def test_a_folder_in_which_the_command_line_trains_is_left_alone(make_jobs, tmp_
     job = add(known, tmp_path)
     (tmp_path / "run").mkdir()
     (tmp_path / "run" / "status.json").write_text('{"state": "training"}')
-    with locks.hold(tmp_path / "run" / "training.lock"):
+    with locks.acquire(tmp_path / "run" / "training.lock"):
         with pytest.raises(fg.FastGSError, match="another process"):
             known.start(job)
         assert (tmp_path / "run" / "status.json").exists()
@@ -269,7 +269,7 @@ def test_a_list_that_another_program_holds_is_waited_for(make_jobs, tmp_path, mo
     known = make_jobs()
     job = add(known, tmp_path)
     monkeypatch.setattr(queue, "PATIENCE", 0.0)
-    with locks.hold(tmp_path / "jobs" / "queue.lock"):
+    with locks.acquire(tmp_path / "jobs" / "queue.lock"):
         assert known.start_next(patience=0.0) is None and [found.id for found in known.all()] == [job.id]
         with pytest.raises(fg.FastGSError, match="another Blender"), known._changing(0.0):
             pass
@@ -346,7 +346,7 @@ def test_locks_of_two_looks_do_not_disturb_each_other(tmp_path):
     assert fcntl
     child = subprocess.Popen([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "looking\n"
-    assert not locks.is_held(path)
+    assert not locks.is_locked(path)
     child.communicate()
 
 

@@ -6,7 +6,7 @@ import json
 
 import pytest
 
-from fastgs_blender.jobs.places import held_in, next_free, place_for
+from fastgs_blender.jobs.places import existing_run, next_free, place_for
 
 
 @pytest.fixture
@@ -31,12 +31,12 @@ def begun(tmp_path):
 
 
 def test_what_a_folder_holds(tmp_path, finished, begun):
-    assert held_in(tmp_path / "none") is None and held_in(tmp_path) is None
-    assert held_in(finished).text == "a finished run (2,500 steps, 27.79 dB)"
-    assert held_in(begun).text .endswith(" 250 of 2,500")
+    assert existing_run(tmp_path / "none") is None and existing_run(tmp_path) is None
+    assert existing_run(finished).text == "a finished run (2,500 steps, 27.79 dB)"
+    assert existing_run(begun).text .endswith(" 250 of 2,500")
     (tmp_path / "run" / "status.json").write_text("[")
     (tmp_path / "run" / "run.json").write_text('{"settings": 5}')
-    assert held_in(finished).text == "a finished run"
+    assert existing_run(finished).text == "a finished run"
 
 
 def test_the_next_name_counts_on(tmp_path, finished):

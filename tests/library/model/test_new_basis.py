@@ -53,7 +53,7 @@ class Chebyshev(Bare):
     def fits(cls, first, last):
         return {"chebyshev": [cls]}
 
-    def whole(self, spans):
+    def joined(self, spans):
         return self
 
     def retimed(self, whole, begin, length, constant, coefficients):

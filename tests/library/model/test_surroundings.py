@@ -16,7 +16,7 @@ from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
 from fastgs_blender.cli import main
 from fastgs_blender.formats.annotate import annotate
 from fastgs_blender.formats.scenes import placed
-from fastgs_blender.model.framing import in_ball, is_subject, looked_at, without_backdrop
+from fastgs_blender.model.framing import focus_sphere, in_ball, is_subject, without_backdrop
 from fastgs_blender.model.surroundings import MOST_CAMERAS, Backdrop, Surroundings, Viewpoint, together
 from fastgs_blender.rendering import visibility
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
@@ -74,13 +74,13 @@ def ring(distance: float, middle=(1.0, 2.0, 3.0), **lens) -> list[Viewpoint]:
 
 
 def test_what_cameras_have_whole_in_their_pictures_is_the_subject():
-    centre, radius = looked_at(ring(5.0))
+    centre, radius = focus_sphere(ring(5.0))
     assert np.allclose(centre, (1, 2, 3), atol=1e-6) and radius == pytest.approx(5 * np.sin(np.arctan(0.5)), rel=1e-6)
-    _, narrow = looked_at(ring(5.0, fx=80, fy=80))
+    _, narrow = focus_sphere(ring(5.0, fx=80, fy=80))
     assert narrow == pytest.approx(5 * np.sin(np.arctan(0.25)), rel=1e-6)
-    _, aside = looked_at(ring(5.0, cx=12))  # less of the left is seen
+    _, aside = focus_sphere(ring(5.0, cx=12))  # less of the left is seen
     assert aside == pytest.approx(5 * np.sin(np.arctan(0.3)), rel=1e-6)
-    assert looked_at([]) is None and looked_at([replace(view, distance=0.0) for view in ring(5.0)]) is None
+    assert focus_sphere([]) is None and focus_sphere([replace(view, distance=0.0) for view in ring(5.0)]) is None
 
     places = np.array([(1, 2, 3), (2.5, 2, 3), (1, 2, 9), (8, 2, 3)], np.float32)
     assert np.array_equal(in_ball(places, (centre, radius)), [True, True, False, False])

@@ -13,7 +13,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of, viewpoint_of
 from fastgs_blender.selecting import sightings as sights
-from fastgs_blender.selecting.sightings import looks, sightings
+from fastgs_blender.selecting.sightings import sampled_views, sightings
 from fastgs_blender.selecting.strays import strays
 
 
@@ -39,7 +39,7 @@ def test_the_strength_decides_how_much_and_what_the_pictures_may_lose(room):
     takes = [fg.clean(room, strength) for strength in (0.0, 0.25, 0.5, 0.75, 1.0)]
     counts = [proposed.taken.sum() for proposed in takes]
     assert counts[0] == 0 and counts == sorted(counts) and counts[-1] > counts[1]
-    series = looks(room)[::4]
+    series = sampled_views(room)[::4]
     whole = pictures(room, series)
     for proposed, allowed in zip(takes[1:], (10**-7.25, 10**-6.5, 10**-5.75, 10**-5.0)):
         left = pictures(room.take(~proposed.taken), series)
@@ -75,7 +75,7 @@ def test_the_backdrop_is_left_alone(room):
 
 def test_the_cost_of_each_is_what_the_pictures_change_by_without_it(room):
     """The expectation of its square of a sum of random signs: right in the mean over many Gaussians, each in opaque and in faint places."""
-    found, series = sightings(room), looks(room)[::4]
+    found, series = sightings(room), sampled_views(room)[::4]
     whole, some = pictures(room, series), np.r_[WALL // 2:WALL // 2 + 25, WALL + EACH:WALL + 2 * EACH]
     true = np.array([np.mean([np.mean((a - b) ** 2) for a, b in zip(whole, pictures(room.take(np.arange(len(room)) != k), series))])
                      for k in some])
@@ -100,17 +100,17 @@ def test_what_lives_shortly_is_not_taken_for_unseen():
     cameras = (viewpoint_of(fg.Camera(64, 48, 60, 60, 32, 24, fg.look_at((0, -6, 0), (0, 0, 0)))),)
     model = dataclasses.replace(model, surroundings=fg.Surroundings(cameras=cameras))
     found = sightings(model)
-    assert len(looks(model)) == sights.PICTURES and (found.chances == 0).any()
+    assert len(sampled_views(model)) == sights.PICTURES and (found.chances == 0).any()
     assert not fg.clean(model, 1.0).found["unseen"][found.chances == 0].any()
 
 
 def test_a_clip_is_looked_at_all_over_by_each_camera(room):
-    assert [look.number for look in looks(room)] == sorted(list(range(8)) * 4)
+    assert [view.number for view in sampled_views(room)] == sorted(list(range(8)) * 4)
     moving = random_model(np.random.default_rng(0), 10, basis=fg.Fourier(2), temporal="radial")
     moving = dataclasses.replace(moving, surroundings=room.surroundings)
-    times = np.sort([look.t for look in looks(moving)])
+    times = np.sort([view.t for view in sampled_views(moving)])
     assert len(times) == sights.PICTURES and np.diff(times, prepend=0, append=1).max() < 0.1
-    assert max(max(look.camera.width, look.camera.height) for look in looks(moving)) <= sights.SIDE
+    assert max(max(view.camera.width, view.camera.height) for view in sampled_views(moving)) <= sights.SIDE
 
 
 def test_strays():

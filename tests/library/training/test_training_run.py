@@ -255,7 +255,7 @@ def test_the_lock_of_a_run_is_free_after_it(tmp_path):
     (tmp_path / "model.safetensors").touch()
     with pytest.raises(fg.FastGSError, match="already"):
         plan.begin(tmp_path, {}, lambda w: settings.settings(**w), False, False)
-    with locks.hold(tmp_path / "training.lock") as mine:
+    with locks.acquire(tmp_path / "training.lock") as mine:
         assert mine is not None
 
 
@@ -274,14 +274,14 @@ def test_a_run_that_cannot_begin_leaves_nothing(files, tmp_path, wrong):
 def test_a_lock_whose_file_was_removed_is_taken_anew(tmp_path):
     """Whoever waited for it while its holder removed it holds the new file, not the old one."""
     path, found = tmp_path / "lock", []
-    first = locks.hold(path)
-    waiting = threading.Thread(target=lambda: found.append(locks.hold(path, 10.0)))
+    first = locks.acquire(path)
+    waiting = threading.Thread(target=lambda: found.append(locks.acquire(path, 10.0)))
     waiting.start()
-    locks.let_go(first, path)
+    locks.release(first, path)
     waiting.join()
-    assert found[0] is not None and locks.is_held(path)
-    locks.let_go(found[0])
-    assert path.exists() and not locks.is_held(path)
+    assert found[0] is not None and locks.is_locked(path)
+    locks.release(found[0])
+    assert path.exists() and not locks.is_locked(path)
 
 
 def test_a_full_disk_is_told_while_training_goes_on(tmp_path, monkeypatch, capsys):

@@ -37,7 +37,7 @@ def test_segments_that_share_no_frame_change_over_between_two(rng, make_model):
     cuts, clip = spans(30, 10, 0), fg.Clip(30)
     first = make_model(rng, 60, "paper", "line", "radial", "stg", motion=0.0, size=0.6)
     first = replace(first, opacity=np.full(60, 6.0), temporal=np.full((60, 1), -9.0))
-    joined = joined_clip(lambda i: replace(first, clip=fg.Clip(10)), cuts, clip, {}).whole()
+    joined = joined_clip(lambda i: replace(first, clip=fg.Clip(10)), cuts, clip, {}).joined()
     for frame in np.arange(0, 29.01, 0.125):
         shown = fg.slice_model(joined, frame / 30, cull=False).opacity.reshape(3, 60)[:, 0]
         assert shown.max() > 0.99, frame
@@ -67,7 +67,7 @@ def test_what_is_joined_shows_each_segment_and_fades_without_a_gap(rng, make_mod
     first = make_model(rng, 60, basis, "line", "radial", "sigmoid", motion=0.0, size=0.6)
     first = replace(first, opacity=np.full(60, 6.0), temporal=np.full((60, 1), -9.0))
     models = [replace(first, clip=fg.Clip(cut.count, 25.0)) for cut in cuts]
-    joined = joined_clip(models.__getitem__, cuts, clip, {"a": "b"}).whole()
+    joined = joined_clip(models.__getitem__, cuts, clip, {"a": "b"}).joined()
     assert joined.clip == clip and joined.provenance == {"a": "b"} and len(joined) == 60 * len(cuts)
     camera = fg.Camera(24, 24, 30, 30, 12, 12, [[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]])
     alone = fg.render(first, camera, 0.5, ("alpha",))["alpha"]

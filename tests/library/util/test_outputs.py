@@ -102,12 +102,12 @@ def test_a_lock_is_an_ordinary_file(tmp_path):
     """An archive may bring a hidden folder whose lock is a link: it would make a file wherever it leads."""
     os.mkfifo(tmp_path / "pipe")
     with pytest.raises(fg.FastGSError, match="pipe"):
-        locks.hold(tmp_path / "pipe")
+        locks.acquire(tmp_path / "pipe")
     (tmp_path / ASIDE).mkdir()
     (tmp_path / ASIDE / outputs.LOCK).symlink_to(tmp_path / "victim")
     os.utime(tmp_path / ASIDE, (0, 0))
     with pytest.raises(OSError, match="link"):
-        locks.hold(tmp_path / ASIDE / outputs.LOCK)
+        locks.acquire(tmp_path / ASIDE / outputs.LOCK)
     remove_leftovers(tmp_path)
     assert not (tmp_path / "victim").exists()
 

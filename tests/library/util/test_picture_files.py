@@ -130,17 +130,17 @@ def test_cover_and_points(tmp_path):
 
 def test_a_held_file_is_free_when_its_process_is_killed(tmp_path):
     path = tmp_path / "lock"
-    assert not locks.is_held(path)
-    code = "import sys; from fastgs_blender.util import locks; f = locks.hold(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
+    assert not locks.is_locked(path)
+    code = "import sys; from fastgs_blender.util import locks; f = locks.acquire(sys.argv[1]); print('held', flush=True); sys.stdin.read()"
     child = subprocess.Popen([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, cwd=ROOT)
     try:
         assert child.stdout.readline() == "held\n"
-        assert locks.is_held(path) and locks.hold(path) is None
+        assert locks.is_locked(path) and locks.acquire(path) is None
     finally:
         child.kill()
         child.wait()
         child.stdout.close()
         child.stdin.close()
-    assert not locks.is_held(path)
-    with locks.hold(path) as mine:
+    assert not locks.is_locked(path)
+    with locks.acquire(path) as mine:
         assert mine is not None

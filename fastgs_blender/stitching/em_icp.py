@@ -25,7 +25,7 @@ def spread(points: np.ndarray) -> float:
     return float(np.sqrt(((place - place.mean(0)) ** 2).sum(1).mean()))
 
 
-def settled(start: np.ndarray, moving: np.ndarray, fixed: np.ndarray, scale: bool, first: float) -> np.ndarray:
+def em_icp(start: np.ndarray, moving: np.ndarray, fixed: np.ndarray, scale: bool, first: float) -> np.ndarray:
     """The motion [4, 4] that a motion comes to, of points [P, 6] towards points [Q, 6], see skin(); first: the cloud's size in the first
     step, in spreads."""
     size = min(spread(fixed), spread(moved(moving, start)))
