@@ -5,7 +5,7 @@ from bpy.app.handlers import persistent
 
 from ..scene import composite, mesh_scene, notices, objects, point_edits, proxies, selection, updates
 from ..scene.meshes import moving_mesh
-from ..scene.splats import bodies, feeding, guard, moving, native
+from ..scene.splats import bodies, feeding, guard, native, proxy_motion
 from . import compiling, light_probe
 
 
@@ -52,11 +52,11 @@ HANDLERS = (
     (bpy.app.handlers.frame_change_post, feeding.after),
     (bpy.app.handlers.frame_change_post, moving_mesh.after),
     (bpy.app.handlers.frame_change_post, light_probe.follow),  # before the splats are hidden from it
-    (bpy.app.handlers.frame_change_post, moving.follow),
+    (bpy.app.handlers.frame_change_post, proxy_motion.follow),
     (bpy.app.handlers.depsgraph_update_post, bodies.rest),
     (bpy.app.handlers.depsgraph_update_post, feeding.after),
     (bpy.app.handlers.depsgraph_update_post, moving_mesh.after),
-    (bpy.app.handlers.depsgraph_update_post, moving.follow),
+    (bpy.app.handlers.depsgraph_update_post, proxy_motion.follow),
     (bpy.app.handlers.depsgraph_update_post, guard.watch),
     (bpy.app.handlers.depsgraph_update_post, composite.changed),
     (bpy.app.handlers.frame_change_post, native.follow),

@@ -2,7 +2,7 @@
 """Decides whether a camera's clock, gain or pose differs from the others', by what two cameras that see the same thing show.
 
 Each has its own measure: what moves in planes through two cameras (clocks/epipolar.py), colours of points that several cameras see
-(exposures.py), tracks of features that were held back (training/initial/refine.py).  Each gives a value with its standard deviation, and
+(gains.py), tracks of features that were held back (training/initial/refine.py).  Each gives a value with its standard deviation, and
 the rule is one.
 """
 import numpy as np

@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 
 from ..captures.evidence import differs
-from ..captures.exposures import gains_of
+from ..captures.gains import gains_of
 from ..util.errors import FastGSError
 from . import drawing
 from .matching import Matches

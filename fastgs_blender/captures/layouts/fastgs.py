@@ -24,7 +24,7 @@ from ...util.outputs import replacing
 from ...util.reading import open_file, read_json
 from ..capture import MASKS, Capture, Options
 from ..pixels.sequences import film_of, numbered_pictures, video_frames
-from ..points import load_points
+from ..point_files import load_points
 from ..rigs import RigCamera, check_count, from_rig
 from ..sources import COLOURS, VIDEOS, Source
 

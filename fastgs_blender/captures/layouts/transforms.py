@@ -19,7 +19,7 @@ from ...util.reading import read_json
 from ...util.stated_paths import local
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
-from ..points import load_points
+from ..point_files import load_points
 from ..rigs import Entry, from_entries
 from ..sources import PICTURES, Source
 from .transforms_views import Picture, times_of, views_of

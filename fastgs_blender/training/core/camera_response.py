@@ -21,7 +21,7 @@ from typing import Any
 
 import numpy as np
 
-from ...captures import exposures as shared_colours
+from ...captures import gains as shared_colours
 from ...captures.capture import Shot
 from ...captures.clocks.find import LEAST as LEAST_CLOCK
 from ...captures.evidence import differs, limits
@@ -81,7 +81,7 @@ class CameraResponse:
 
     views    their names;  frame: a frame in the model's time;  exposures, clocks: the settings of these names
     gains    [V, 3], biases [V, 3], offsets [V] of clocks in frames: as estimated
-    gain_priors    [V, 2, 3] logarithms of gains that points show which cameras share (captures/exposures.py), and their standard
+    gain_priors    [V, 2, 3] logarithms of gains that points show which cameras share (captures/gains.py), and their standard
                    deviations; 0, 0: none is known
     offset_priors  [V, 2] clock offsets that two cameras' pictures show (captures.clocks.epipolar), and their standard deviations, in
                    frames; 0, 0: none is known

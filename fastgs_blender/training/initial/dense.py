@@ -13,7 +13,7 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...captures.capture import Capture, Points, Shot, by_view
-from ...captures.exposures import gains_of
+from ...captures.gains import gains_of
 from ...captures.pixels.store import Pixels
 from ...training.core.settings import Settings
 from ...util.errors import FastGSError
@@ -151,7 +151,7 @@ def _features(capture: Capture, store: Any, settings: Settings, moments: list[li
 
 
 def response_of(capture: Capture, settings: Settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
-    """How cameras differ, from the colours [3] of points in the views that see them (captures/exposures.py)."""
+    """How cameras differ, from the colours [3] of points in the views that see them (captures/gains.py)."""
     views = capture.training_views
     place = {view: k for k, view in enumerate(views)}
     table = np.full((len(looks), len(views), 3), np.nan)

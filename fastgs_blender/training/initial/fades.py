@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from ...captures.capture import Capture, Shot, by_view
-from ...captures.exposures import BRIGHT, DARK
+from ...captures.gains import BRIGHT, DARK
 from ...captures.pixels.store import FrameStore
 from ...training.core.settings import Settings
 from .dense import picture, spread

@@ -312,7 +312,7 @@ def test_going_on_with_a_run_takes_its_own_capture_and_options(jobs, module, toy
     until(lambda: not jobs._file(job.id, ".stop").exists())
     barrier.release()
     assert end_of(jobs, job).kind == 'PAUSED'
-    module("scene.training.watch").look()
+    module("scene.training.watch").refresh()
     same, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='RESUME', iterations=500)
     assert same.id == job.id and kinds[-1] == 'FINISHED'
     report = json.loads((tmp_path / "run" / "report.json").read_text())

@@ -16,7 +16,7 @@ from fastgs_blender.captures import open_capture, recognised
 from fastgs_blender.captures.clocks.sound import MOST_SECONDS, onsets
 from fastgs_blender.captures.describe import describe, text
 from fastgs_blender.captures.pixels import decoding, pictures, probe, video
-from fastgs_blender.captures.points import load_points
+from fastgs_blender.captures.point_files import load_points
 from fastgs_blender.captures.sources import PICTURES, VIDEOS, Source
 from fastgs_blender.util.errors import FastGSError, printable_lines
 

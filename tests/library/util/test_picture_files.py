@@ -15,7 +15,7 @@ from PIL import Image
 
 import fastgs_blender as fg
 from fastgs_blender.captures import generated
-from fastgs_blender.captures.points import load_points
+from fastgs_blender.captures.point_files import load_points
 from fastgs_blender.util import locks
 from fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from fastgs_blender.captures.evidence import differs, limits
-from fastgs_blender.captures.exposures import LEAST, brighter, gains_of
+from fastgs_blender.captures.gains import LEAST, brighter, gains_of
 
 VIEWS, POINTS = 6, 400
 
