@@ -8,9 +8,10 @@ from gpu_extras.presets import draw_texture_2d
 from mathutils import Matrix
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.rendering.passes import PASSES, PassSettings
 from ...scene import devices
-from ...scene.colour import film, srgb_to_linear
+from ...scene.colour import film
 from ...scene.sky import Panorama
 from ...scene.snapshot import Snapshot
 from .. import scene_linear

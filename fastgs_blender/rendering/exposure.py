@@ -14,7 +14,6 @@ from ..model.chapters import one_clip
 from ..model.edits import mixed
 from ..model.slicing import slice_model, still
 from ..util.errors import FastGSError
-from ..util.threads import ranges, run
 from . import colour
 from .crops import crops_between
 from .holdout import between
@@ -22,8 +21,6 @@ from .instances import Instance, Moment, ViewedInstance
 
 PLASTIC = 1.32471795724474602596
 """The real root of x^3 = x + 1, which the R2 sequence is made of."""
-ROWS = 16
-"""Rows of a picture that are encoded at once: what fits into the processor's cache."""
 
 
 @dataclass(frozen=True)
@@ -271,11 +268,4 @@ class Film:
         """rgb [h, w, 3], premultiplied in the models' colour space, and alpha [h, w]."""
         if not self.encoded:
             return self.rgb, self.alpha
-        encoded = np.empty_like(self.rgb)
-
-        def encode(first: int, last: int) -> None:
-            rgb, alpha = self.rgb[first:last], self.alpha[first:last]
-            encoded[first:last] = colour.linear_to_srgb(colour.straight(rgb, alpha)) * alpha[..., None]
-
-        run(encode, ranges(len(encoded), ROWS))
-        return encoded, self.alpha
+        return colour.encoded(self.rgb, self.alpha), self.alpha

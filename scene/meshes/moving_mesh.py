@@ -13,12 +13,13 @@ from bpy.app.handlers import persistent
 
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import positions_at, sigmoid
+from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.rendering.crops import crop_share
 from ...fastgs_blender.surfaces.making import MovingMesh
 from ...fastgs_blender.util.errors import FastGSError
 from .. import arrays, model_space, objects, snapshot
 from ..cameras.keys import curve_of, driver_of
-from ..colour import rec709_to_working, srgb_to_linear
+from ..colour import rec709_to_working
 from ..splats.proxy_nodes import COLOUR, modifier_of, shining_material
 from ..time import clip_frame
 

@@ -14,10 +14,11 @@ from ...fastgs_blender.formats.scenes import as_seen
 from ...fastgs_blender.model.appearance import SH_C0
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import sigmoid
+from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.util import rotations
 from ...fastgs_blender.util.errors import FastGSError
 from .. import model_space, objects, snapshot
-from ..colour import rec709_to_working, srgb_to_linear
+from ..colour import rec709_to_working
 from . import proxy_nodes
 from .proxy_nodes import COLOUR
 

@@ -2,7 +2,7 @@
 """Moves proxies with time: other engines' final renders, and viewports that do not draw the splats themselves, show the frame's points.
 
 It writes to the evaluated mesh of a depsgraph, after the evaluation and before that mesh is drawn.  A final render has a depsgraph of its
-own, so that rendering changes nothing in the open file, and sub-frames are those of the render.
+own, so that rendering changes nothing in the open file, and sub-frames are those of the render.  FAST-GS' own final renders draw no points.
 """
 import bpy
 import numpy as np
@@ -55,6 +55,8 @@ def follow(scene, depsgraph=None) -> None:
         _chosen.pop(key, None)  # a render runs in a thread of its own
     if depsgraph is not None and mesh_scene.is_one(depsgraph.scene):
         mesh_scene.hide(depsgraph)
+        return
+    if depsgraph is not None and depsgraph.mode == 'RENDER' and depsgraph.scene.render.engine == 'FASTGS':
         return
     for obj in splats if depsgraph is not None else ():
         evaluated = obj.evaluated_get(depsgraph)

@@ -14,10 +14,10 @@ from ...fastgs_blender.model.framing import focus_sphere, in_ball, inside_backdr
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
+from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.rendering.instances import ObjectSettings
 from ...fastgs_blender.rendering.looks import Look, graded, look_numbers, size_factor
 from ...fastgs_blender.util import rotations
-from ..colour import srgb_to_linear
 
 LIMIT = 20_000
 """The most points of a proxy."""

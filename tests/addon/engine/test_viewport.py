@@ -231,7 +231,7 @@ def at_rest(module, monkeypatch):
 @pytest.mark.slow
 def test_passes_are_shown_in_their_false_colours(module, fg, make_model, model_file, snapshot, eye, draw, view, expected, data, at_rest):
     """Each pass is the final one; the picture comes back as the GPU draws it."""
-    table, linear = module("fastgs_blender.rendering.passes").PASSES, module("scene.colour").srgb_to_linear
+    table, linear = module("fastgs_blender.rendering.passes").PASSES, module("fastgs_blender.rendering.colour").srgb_to_linear
     path = model_file(make_model(200, motion=np.random.default_rng(1).normal(0, 0.1, (200, 10, 3)), basis=fg.Fourier(5), clip=fg.Clip(30)))
     for name in ("depth", "normal", "cryptomatte_00", "count", "vector", "depth"):
         got = draw(snapshot(path), eye(), wait=True, data=data(name))

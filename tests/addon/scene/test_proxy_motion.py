@@ -88,6 +88,27 @@ def test_final_renders_of_other_engines_move(scene, fg, module, moving, reader, 
     assert np.array_equal(rest, [v.co for v in obj.data.vertices])  # the file itself is left alone
 
 
+def test_our_own_final_renders_move_no_points(scene, module, moving, reader, add_camera):
+    bpy.ops.import_scene.fastgs(filepath=moving)
+    add_camera()
+    scene.render.resolution_x = scene.render.resolution_y = 8
+    found = []
+
+    def look(_, depsgraph):
+        if depsgraph.mode == 'RENDER':
+            found.extend(module("scene.splats.moving").MOVED in each.data for each in depsgraph.objects if each.type == 'MESH')
+
+    bpy.app.handlers.frame_change_post.append(look)
+    try:
+        for engine in ('FASTGS', _Reader.bl_idname):
+            scene.render.engine = engine
+            found.clear()
+            bpy.ops.render.render()
+            assert set(found) == {engine != 'FASTGS'}
+    finally:
+        bpy.app.handlers.frame_change_post.remove(look)
+
+
 def test_points_follow_the_objects_own_time(scene, fg, module, moving):
     bpy.ops.import_scene.fastgs(filepath=moving)
     obj = bpy.context.object
