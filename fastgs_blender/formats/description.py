@@ -16,7 +16,7 @@ from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.surroundings import Backdrop, Surroundings, Viewpoint
 from ..model.temporal import Always, Radial, temporal_by_name
-from ..util.arguments import shown
+from ..util.arguments import like, shown
 from ..util.errors import FastGSError
 
 MAX_PROVENANCE = 1 << 16
@@ -111,22 +111,9 @@ def _one_of(value: Any, known: Collection[str], what: str) -> Any:
 
 def _typed(value: Any, example: object, what: str) -> Any:
     """The value, if it is of the example's type and within reason."""
-    number = isinstance(value, (int, float)) and not isinstance(value, bool)
-    if isinstance(example, bool):
-        good = isinstance(value, bool)
-    elif isinstance(example, int):
-        good = number and isinstance(value, int) and abs(value) <= 10**9
-    elif isinstance(example, float):
-        good = number and -1e30 <= value <= 1e30
-        value = float(value) if good else value
-    elif isinstance(example, str):
-        good = isinstance(value, str)
-    else:
-        good = isinstance(value, list) and len(value) <= 100_000
-        value = tuple(_typed(v, 0.0, what) for v in value) if good else value
-    if not good:
+    if (found := like(value, example)) is None:
         raise FastGSError(f"{what} cannot be {shown(value)}.")
-    return value
+    return found
 
 
 def _from_fields(cls: type, values: object, what: str) -> Any:

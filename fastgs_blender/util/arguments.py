@@ -62,6 +62,22 @@ def numbers(value: Any, what: str, shape: str, kind: Any = np.float64) -> np.nda
         raise FastGSError(f"{what} must be numbers of the shape {shape}, not {shown(value)}.") from error
 
 
+def like(value: Any, example: Any, most: int = 10**9) -> Any:
+    """A value of JSON or of a program in the type of an example: a truth value, a number, a text or a tuple of numbers.
+
+    None where it is of another type, no finite number, or beyond reason; most: the largest whole number
+    """
+    number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) <= 1e30
+    if isinstance(example, (bool, str)):
+        return value if isinstance(value, type(example)) else None
+    if isinstance(example, int):
+        return int(value) if number and value == int(value) and abs(value) <= most else None
+    if isinstance(example, float):
+        return float(value) if number else None
+    numbers = [like(each, 0.0) for each in value] if isinstance(value, (list, tuple)) and len(value) <= 100_000 else [None]
+    return None if None in numbers else tuple(numbers)
+
+
 def in_words(values: Any) -> str:
     """The names and values of a dictionary, or of a dataclass' fields, for a sentence."""
     table = values if isinstance(values, dict) else asdict(values)

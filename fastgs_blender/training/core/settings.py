@@ -2,14 +2,13 @@
 """All options of a training run in one frozen dataclass, each with its default, meaning and limits; their conversion to and from JSON."""
 from __future__ import annotations
 
-import math
 from collections.abc import Callable, Iterable
 from dataclasses import MISSING, Field, asdict, dataclass, field, fields, replace
 from typing import Any
 
 from ...model.appearance import DECODES
 from ...model.motion import trained_motions
-from ...util.arguments import one_of, shown
+from ...util.arguments import like, one_of, shown
 from ...util.errors import FastGSError
 from .presets import PRESETS
 
@@ -210,22 +209,6 @@ def option_from_text(text: str) -> tuple[str, object]:
 
 def _checked(option: Field, value: Any) -> Any:
     """The value in the type of the field's default; raises FastGSError where it is of another."""
-    example = option.default
-    assert example is not MISSING
-    number = isinstance(value, (int, float)) and not isinstance(value, bool) and abs(value) < 1e300  # JSON's integers have no limit
-    if isinstance(example, bool):
-        good = isinstance(value, bool)
-    elif isinstance(example, int):
-        good = number and math.isfinite(value) and value == int(value)
-        value = int(value) if good else value
-    elif isinstance(example, float):
-        good = number and math.isfinite(value)
-        value = float(value) if good else value
-    elif isinstance(example, tuple):
-        good = isinstance(value, (list, tuple)) and all(isinstance(v, (int, float)) and abs(v) < 1e300 for v in value)
-        value = tuple(float(v) for v in value) if good else value
-    else:
-        good = isinstance(value, str)
-    if not good:
-        raise FastGSError(f"the training option {option.name} cannot be {value!r}; its default is {example!r}.")
-    return value
+    if (found := like(value, option.default, 1 << 63)) is None:
+        raise FastGSError(f"the training option {option.name} cannot be {value!r}; its default is {option.default!r}.")
+    return found
