@@ -154,7 +154,7 @@ class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
-        draw_column(layout, settings, "frames", "scale", "held_out")
+        draw_column(layout, settings, "scan", "frames", "scale", "held_out")
         draw_column(layout, settings, "iterations", "max_gaussians", "order").prop(settings, "motion_weight", text="Smoothing")
 
 

@@ -86,6 +86,16 @@ def open_capture(path: str | os.PathLike, *, scale: float | None = None, frames:
         return capture
 
 
+def open_scan(path: str | os.PathLike) -> Capture:
+    """The photographs of a place (scan.py) in a folder or file; of a COLMAP workspace those that belong to no film.
+
+    Raises FastGSError as open_capture().
+    """
+    path = _existing(path)
+    with reading(path, "its description is damaged, so copy or export it again"):
+        return identify(path, None).load(path, Options(scan=True))
+
+
 def first_clocks(path: str | os.PathLike, layout: str | None = None) -> Mapping[str, float]:
     """The offsets that the films' GPS time or timecode gives, whatever sync.json says; none where they have neither."""
     found = clocks_of_films(open_capture(path, layout=layout, offsets={}))

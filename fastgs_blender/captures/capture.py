@@ -31,12 +31,14 @@ class Options:
     frames    the part of the time line to use, as a slice of frame numbers from 0
     held_out  names of the views that are kept for evaluation
     offsets   by view, in frames: picture f of the view shows the moment f + offset (clocks/files.py)
+    scan      the photographs of the place are wanted; a layout that has films besides leaves those out
     """
 
     scale: float | None = None
     frames: slice | None = None
     held_out: Sequence[str] | None = None
     offsets: Mapping[str, float] = field(default_factory=dict)
+    scan: bool = False
 
     def __post_init__(self) -> None:
         if self.scale is not None:
@@ -64,6 +66,7 @@ class Shot:
     mask      a file that goes with the picture, white where the picture counts (see Capture.mask_means); None: there is none
     held_out  kept for evaluation, never trained on
     t         model time in [0, 1]
+    place     of a scan (scan.py): it shows the place at no moment of the clip; frame and t are 0
     """
 
     view: str
@@ -73,6 +76,7 @@ class Shot:
     mask: Source | None = None
     held_out: bool = False
     t: float = 0.0
+    place: bool = False
 
 
 def by_view(shots: Iterable[Shot]) -> dict[str, list[Shot]]:
@@ -150,6 +154,16 @@ class Capture:
         """Names of the views with shots kept for evaluation."""
         return list(dict.fromkeys(shot.view for shot in self.held_out))
 
+    @property
+    def films(self) -> list[Shot]:
+        """The shots to train on that belong to a moment."""
+        return [shot for shot in self.training if not shot.place]
+
+    @property
+    def scan(self) -> list[Shot]:
+        """The shots to train on that show the place alone (scan.py)."""
+        return [shot for shot in self.training if shot.place]
+
     def at_frame(self, frame: int) -> list[Shot]:
         """All shots of one frame."""
         return [shot for shot in self.shots if shot.frame == frame]
@@ -158,8 +172,8 @@ class Capture:
         """The frames begin .. begin + count - 1, with times from 0 to 1 of their own; the pictures are the same files."""
         clip, whole = Clip(count, self.clip.fps, self.clip.start_frame + begin), self.clip.frame_count
         at, length = begin / whole, count / whole
-        shots = [replace(shot, frame=shot.frame - begin, t=(shot.t - at) / length)
-                 for shot in self.shots if begin <= shot.frame < begin + count]
+        shots = [shot if shot.place else replace(shot, frame=shot.frame - begin, t=(shot.t - at) / length)
+                 for shot in self.shots if shot.place or begin <= shot.frame < begin + count]
         points = self.points
         if points is not None and points.t is not None:
             t = (np.asarray(points.t) - at) / length

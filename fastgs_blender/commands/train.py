@@ -47,6 +47,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")
+    parser.add_argument("--scan", metavar="SCAN", help="photographs of the place, as a capture in the same world, such as of a walk around "
+                        "it while it is empty: much better with few cameras")
     parser.add_argument("--held-out", metavar="NAME,NAME", help="views to keep for evaluation (default: the layout's)")
     add_device(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
@@ -59,7 +61,7 @@ def run(args: argparse.Namespace) -> None:
     if args.capture is None and not args.resume:
         raise FastGSError("name the CAPTURE to train on; only a run that is resumed (--resume) knows its own.")
     held_out = None if args.held_out is None else [name for name in args.held_out.split(",") if name]
-    source = source_of(args.capture, args.layout, args.scale, frames_slice(args.frames), held_out)
+    source = source_of(args.capture, args.layout, args.scale, frames_slice(args.frames), held_out, args.scan)
     report = launch(source, args.out, options(args), args.resume, args.overwrite, args.quiet, note, args.device)
     if not report:  # one of several processes, and not the first
         return

@@ -10,6 +10,7 @@ from ...fastgs_blender.training.core.presets import PRESETS
 from ...fastgs_blender.training.core.settings import Settings
 from ..filming.options import CaptureOptions
 from ..settings import BLEND_RELATIVE
+from . import installation
 
 EXISTING = (
     ('REFUSE', "Refuse", "Say so", 0),
@@ -37,6 +38,9 @@ class TrainingOptions:
     capture: StringProperty(
         name="Capture", description="The capture's folder, or a file that describes it", subtype='DIR_PATH',
         options=BLEND_RELATIVE)
+    scan: StringProperty(
+        name="Scan", description="Photographs of the place in the capture's world, such as of a walk around it while it is empty: a "
+        "folder or a file that describes them. With few cameras they help much", subtype='DIR_PATH', options=BLEND_RELATIVE)
     out: StringProperty(
         name="Results", description="Folder for the model and all files of the run; empty: a new folder beside the .blend",
         subtype='DIR_PATH', options=BLEND_RELATIVE)
@@ -85,6 +89,8 @@ def arguments(options) -> list[str]:
     for name, flag in (("iterations", "--iterations"), ("max_gaussians", "--max-gaussians"), ("order", "--order")):
         if getattr(options, name):
             chosen += [flag, str(getattr(options, name))]
+    if options.scan.strip():
+        chosen += ["--scan", installation.capture_path(options.scan)]
     return chosen + capture_arguments(options)
 
 

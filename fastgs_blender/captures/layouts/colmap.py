@@ -90,7 +90,11 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
     top = _folder_of(path, images)
     points = read_points(model)
     streams = [_stream(top, image) or _stream(path, image) for image in images]
-    if not any(streams):
+    if options.scan:
+        images = [image for image, stream in zip(images, streams) if stream is None]
+        if not images:
+            raise FastGSError(f"{path}: all of its pictures belong to films; a scan needs photographs of the place.")
+    if options.scan or not any(streams):
         return _moment(path, images, top, points, options)
     names = _names([stream for stream in streams if stream is not None])
     views: dict[str, tuple[Path, list[ColmapImage]]] = {}

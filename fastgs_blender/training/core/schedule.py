@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The schedule of training: learning rates, views and picture size as functions of the step alone, so that nothing must be saved."""
 from collections.abc import Sequence
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -11,7 +12,7 @@ from ...model.motion import Basis
 from .model import PLACE
 from .settings import Settings
 
-VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS = range(10, 16)
+VIEWS, FRAMES, BACKGROUND, DENSITY, NOISE, POINTS, SCAN = range(10, 17)
 """What random numbers are drawn for: generator(seed, purpose, step) gives the same ones whenever it is asked."""
 
 WARM = {"position": 1.0, "motion": 1.0, "scale": 0.5, "rotation": 0.5, "rotation_motion": 0.5}
@@ -66,17 +67,28 @@ def reduction(settings: Settings, iteration: int) -> int:
 
 
 class Views:
-    """Chooses the shots of each step: of one moment each, every moment once per round, every shot of a moment equally often."""
+    """Chooses the shots of each step: of one moment each, every moment once per round, every shot of a moment equally often.
 
-    def __init__(self, shots: Sequence[Shot], seed: int) -> None:
+    scan_share  of the steps, evenly spread: they see shots of a scan, where there are some, each equally often
+    """
+
+    def __init__(self, shots: Sequence[Shot], seed: int, scan_share: float = 0.0) -> None:
         self.seed = seed
         moments: dict[int, list[int]] = {}
+        self.scan = [i for i, shot in enumerate(shots) if shot.place]
         for i, shot in enumerate(shots):
-            moments.setdefault(shot.frame, []).append(i)
+            if not shot.place:
+                moments.setdefault(shot.frame, []).append(i)
         self.moments = [moments[frame] for frame in sorted(moments)]
+        self.scan_share = scan_share if self.scan else 0.0
 
     def at(self, iteration: int, count: int) -> list[int]:
         """Indices of `count` shots for a step.  If a moment has fewer shots, the rest come from the next moments."""
+        before, after = (int(step * self.scan_share) for step in (iteration, iteration + 1))
+        if after > before:
+            turns = (divmod(before * count + k, len(self.scan)) for k in range(count))
+            return [self.scan[int(_order(len(self.scan), self.seed, SCAN, cycle)[place])] for cycle, place in turns]
+        iteration -= before
         chosen: list[int] = []
         slot = 0
         per_step = max(1, -(-count // max(len(m) for m in self.moments)))
@@ -88,6 +100,13 @@ class Views:
                 chosen.append(moment[int(_order(len(moment), self.seed, VIEWS, moment[0], cycle)[position])])
             slot += 1
         return chosen
+
+
+def at_a_moment(shot: Shot, frames: int, *key: int) -> Shot:
+    """A shot of a scan at a frame of the clip, drawn by the key: the place looks like this at all of them."""
+    seed, *step = key
+    frame = int(generator(seed, SCAN, *step).integers(frames))
+    return replace(shot, frame=frame, t=frame / frames)
 
 
 @lru_cache(maxsize=512)

@@ -127,6 +127,9 @@ class Settings:
 
     warm_up: tuple[float, ...] = (0.02, 0.08)  # fractions of the run that see pictures at a quarter and at half the size end here
 
+    # A scan of the place (captures/scan.py)
+    scan_share: float = _number(0.3, 0, 0.9)  # of the steps that see its pictures, 0: they give starting points alone
+
     # Long captures (segments.py)
     segment_frames: int = _number(120, 0, 10**8)  # clips with more frames are cut into segments of at most this many, 0: never
     segment_overlap: int = _number(8, 0, 10**6)  # frames that neighbours share; 0: none, and they change over between two frames

@@ -34,9 +34,11 @@ class Target:
 
 
 def use_of_mask(settings: Settings, capture: Capture, shot: Shot, mask: np.ndarray | None) -> str:
-    """How a shot's mask is used: cut, weight, only, or off where it has none."""
+    """How a shot's mask is used: cut, weight, only, off where it has none; around: a scan shows the place around its subject."""
     if mask is None or settings.masks == "off":
         return "off"
+    if shot.place and shot.mask is not None and capture.mask_means == "foreground":
+        return "around"
     if settings.masks != "auto":
         return settings.masks
     if shot.mask is None:
@@ -50,11 +52,12 @@ def cover_of(use: str, pixels: Pixels) -> np.ndarray | None:
 
 
 def target(capture: Capture, pixels: Pixels, shot: Shot, settings: Settings, reduction: int, *key: int,
-           moving: np.ndarray | None = None) -> Target:
+           moving: np.ndarray | None = None, hidden: np.ndarray | None = None) -> Target:
     """The target of a shot with these pixels (captures.pixels.store.Pixels).
 
     key     seeds the random background, where the settings ask for one
     moving  [h, w] how much each pixel moves (MovingPixels.share), or None: not known
+    hidden  [h, w] bool, pixels that do not count, or None: all do
     """
     assert shot.camera is not None
     rgb, mask = smaller(pixels.rgb, reduction), None if pixels.mask is None else smaller(pixels.mask, reduction)
@@ -74,8 +77,13 @@ def target(capture: Capture, pixels: Pixels, shot: Shot, settings: Settings, red
         weight = 1 + (FOREGROUND - 1) * mask
     elif use == "only":
         weight = mask
+    elif use == "around" and mask is not None:
+        weight = np.float32(1) - mask
     elif use == "off" and moving is not None:
         weight = 1 + (settings.moving_weight - 1) * smaller(moving, reduction)
+    if hidden is not None:
+        shown = smaller((~hidden).astype(np.float32), reduction)
+        weight = shown if weight is None else weight * shown
     if pixels.valid is not None:
         inside = smaller(pixels.valid.astype(np.float32), reduction)
         weight = inside if weight is None else weight * inside
@@ -86,7 +94,7 @@ def target(capture: Capture, pixels: Pixels, shot: Shot, settings: Settings, red
     return Target(small_camera(shot.camera, reduction), shot.t, np.ascontiguousarray(rgb, np.float32),
                   pixels.stored if reduction == 1 and cover is None else None,
                   None if weight is None else np.ascontiguousarray(weight, np.float32),
-                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight"),
+                  background if background is not None and background.any() else None, cover is None and use in ("off", "weight", "around"),
                   least)
 
 

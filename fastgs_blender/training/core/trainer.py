@@ -68,10 +68,11 @@ class Trainer:
     decoder         a model whose decoder is used as it is; None: the decoder is trained
     backend         the name of the backend that all arrays live on (util/backends.py)
     processes       those that take each step together
+    hull            tells what a scan's pictures do not show (initial/visual_hull.py); None: they are not trained on
     """
 
     def __init__(self, capture: Capture, store: Any, settings: Settings, start: Start | None = None, *,
-                 decoder: GaussianModel | None = None, backend: str = "cpu", processes: Processes | None = None) -> None:
+                 decoder: GaussianModel | None = None, backend: str = "cpu", processes: Processes | None = None, hull: Any = None) -> None:
         self.backend_name, self.backend = backend, load_backend(backend)
         self.capture, self.store, self.settings = capture, store, settings
         self.processes = processes or Processes()
@@ -81,10 +82,10 @@ class Trainer:
         self.fixed = () if decoder is None else DECODER
         self.extent = capture.extent
         self.around = [*map(float, capture.focus), float(np.linalg.norm(capture.centres() - capture.focus, axis=1).max(initial=0))]
-        self.shots = capture.training
+        self.hull, self.shots = hull, capture.training if hull is not None else capture.films
         if not self.shots:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
-        self.schedule = schedule.Views(self.shots, settings.seed)
+        self.schedule = schedule.Views(self.shots, settings.seed, settings.scan_share)
         self.moving = MovingPixels(store, self.shots) if settings.moving_weight != 1 else None
         self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots if shot.camera is not None]))
         self.template = empty_model(settings, capture.clip, capture.axes)
@@ -191,7 +192,10 @@ class Trainer:
                 shot = self.shots[chosen[place]]
                 filmed = self.store.pixels(shot)
                 moving = self.moving.share(shot, filmed) if self.moving else None
-                goal = target(self.capture, cameras.response.pixels(shot, filmed), shot, s, reduction, i, place, moving=moving)
+                shot = schedule.at_a_moment(shot, self.capture.clip.frame_count, s.seed, i, place) if shot.place else shot
+                hidden = self.hull.covers(shot.camera, shot.frame) if shot.place else None
+                goal = target(self.capture, cameras.response.pixels(shot, filmed), shot, s, reduction, i, place, moving=moving,
+                              hidden=hidden)
                 goal = replace(goal, t=cameras.response.moment(shot), camera=cameras.turns.camera(shot.view, goal.camera))
                 rest = (None if values is None else array(values) for values in (goal.weight, goal.least))
                 views.append(View(shot, goal, self.backend.picture(goal.rgb, goal.stored), *rest))

@@ -223,13 +223,14 @@ def among_others(points: Points, centres: np.ndarray | None = None) -> Points:
 
 
 def chosen_moments(capture: Capture) -> list[list[Shot]]:
-    """The training shots at up to MOMENTS evenly spread frames, grouped by frame; with one shot per frame, one group of all times."""
+    """The films' shots at up to MOMENTS evenly spread frames, grouped by frame; with one shot per frame, one group of all times."""
     by_frame: dict[int, list[Shot]] = {}
-    for shot in capture.training:
+    films = capture.films or capture.scan
+    for shot in films:
         by_frame.setdefault(shot.frame, []).append(shot)
     frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) >= 2]
     if not frames:
-        return [spread(capture.training, MOST_VIEWS)]
+        return [spread(films, MOST_VIEWS)]
     return [spread(by_frame[frame], MOST_VIEWS) for frame in spread(frames, MOMENTS)]
 
 
@@ -278,6 +279,8 @@ def enlarged(capture: Capture, shot: Shot) -> Shot:
 def shown_part(capture: Capture, settings: Settings, shot: Shot, pixels: Pixels) -> np.ndarray | None:
     """The share of each pixel [h, w] that masks leave of a picture; None: all of it."""
     use = use_of_mask(settings, capture, shot, pixels.mask)
+    if use == "around" and pixels.mask is not None:
+        return 1 - pixels.mask
     return pixels.mask if use == "only" else cover_of(use, pixels)
 
 

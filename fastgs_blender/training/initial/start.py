@@ -55,13 +55,14 @@ def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Calla
     def pictures(shots: Sequence[Shot], small: Camera) -> Iterator[tuple[Shot, np.ndarray]]:
         return ((shot, store.pixels(shot).rgb) for shot in shots)
 
-    found = by_epipolar_planes(replace(capture, shots=capture.training), pictures=pictures)
+    found = by_epipolar_planes(replace(capture, shots=capture.films), pictures=pictures)
     if found is None:
         return None
-    offsets, stated = found.clocks.offsets, stated_offsets(capture.training, capture.clip.frame_count)
-    expected = np.array([(0.0, 0.0) if view in found.lost else (found.measured[view] - stated[view], found.clocks.uncertainty[view])
+    offsets, stated = found.clocks.offsets, stated_offsets(capture.films, capture.clip.frame_count)
+    unknown = {*found.lost, *(set(views) - set(stated))}
+    expected = np.array([(0.0, 0.0) if view in unknown else (found.measured[view] - stated[view], found.clocks.uncertainty[view])
                          for view in views])
-    apart = {view: late for view in views if view not in found.lost and abs(late := offsets[view] - stated[view]) > FARTHEST}
+    apart = {view: late for view in stated if view not in found.lost and abs(late := offsets[view] - stated[view]) > FARTHEST}
     if apart:
         say("clocks differ by more frames than training corrects: " + ", ".join(f"{view} {value:+.1f}" for view, value in apart.items())
             + "; run fastgs sync on this capture")

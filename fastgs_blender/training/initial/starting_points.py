@@ -4,6 +4,7 @@
 The source and the number of points are printed.  The result depends on the seed and the pictures alone.
 """
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 import numpy as np
@@ -12,7 +13,7 @@ from ...captures.capture import Capture, Points
 from ...util.errors import FastGSError
 from ..core.schedule import POINTS, generator
 from ..core.settings import Settings
-from .dense import FEW, depth_range, picture, spread, triangulated
+from .dense import FEW, depth_range, joined, picture, spread, triangulated
 from .geometry import sample, unproject, visible
 
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
@@ -23,6 +24,7 @@ def initial_points(capture: Capture, store: Any, settings: Settings, say: Callab
     """The points that training starts from, at most settings.init_points, and the store with colours in which cameras agree, where it is
     found that they differ (CorrectedStore); t is NaN for points that are visible at all times.
 
+    Those on the place that a scan shows come on top, as many again.
     settings.init  "auto": the first source that gives points, in SOURCES' order; or a source's name
     progress        called as progress(done, of)
     Raises FastGSError where the wanted source gives none.
@@ -44,6 +46,10 @@ def initial_points(capture: Capture, store: Any, settings: Settings, say: Callab
         say(f"no starting points from this source: {reason}")
     found = len(points)
     points = thinned(points, settings.init_points, settings.seed)
+    if capture.films and capture.scan:
+        place, _ = initial_points(replace(capture, shots=capture.scan), store, settings, say)
+        times = np.full(len(points), np.nan, np.float32) if points.t is None else points.t
+        points = joined([Points(place.xyz, place.rgb, np.full(len(place), np.nan, np.float32)), replace(points, t=times)])
     timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
     kept = f", {len(points)} kept" if len(points) < found else ""
     say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")

@@ -6,6 +6,7 @@ from ...util.backends import choose_device
 from ..core.processes import Several
 from ..core.trainer import Trainer
 from ..initial.calibrate import with_poses
+from ..initial.visual_hull import hull_of
 from .plan import plan_from_dict
 from .session import MEMORY
 from .stopping import StopFlag
@@ -32,7 +33,8 @@ def _trainer(message: dict, processes: Several, device: str | None) -> Trainer:
     store.fill(shots=capture.shots)  # of another machine, whose cache nobody has filled
     backend = choose_device(device)[0]
     settings = plan.settings.of_segment(message["number"])
-    trainer = Trainer(capture, store, settings, backend="cpu" if backend == "auto" else backend, processes=processes)
+    trainer = Trainer(capture, store, settings, backend="cpu" if backend == "auto" else backend, processes=processes,
+                      hull=hull_of(capture, store, lambda text: None))
     trainer.fixed = tuple(message["fixed"])
     trainer.restore(processes.hear_arrays(), message["about"])
     return trainer

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
 def train(capture: str | Path | None, out: str | Path, *, preset: str | None = None, resume: bool = False, overwrite: bool = False,
           layout: str | None = None, scale: float | None = None, frames: slice | None = None, held_out: Sequence[str] | None = None,
-          quiet: bool = True, device: str | None = None, **options: Any) -> GaussianModel:
+          scan: str | Path | None = None, quiet: bool = True, device: str | None = None, **options: Any) -> GaussianModel:
     """Train a model from a capture of several cameras; returns it when the training has ended.
 
     capture    folder or file of the capture; None with resume: that of the run
@@ -29,6 +29,7 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     preset     "draft", "standard" (default) or "final"; "paper" and "stg": published setups (docs/paper.md)
     resume     continue the run in that folder, with its own capture and options; overwrite: replace it
     layout, scale, frames, held_out  see open_capture()
+    scan       folder or file of photographs of the place, posed in the capture's world, such as of a walk around it while it is empty
     quiet      print no progress
     device     auto (the first GPU that has passed its self-test and was faster than the processor in it, else the processor), cpu, gpu
                or part of a GPU's name; None: $FASTGS_DEVICE
@@ -41,22 +42,22 @@ def train(capture: str | Path | None, out: str | Path, *, preset: str | None = N
     """
     if capture is None and not resume:
         raise FastGSError("name the capture to train on; only a run that is resumed knows its own.")
-    out, source = Path(out), source_of(capture, layout, scale, frames, held_out)
+    out, source = Path(out), source_of(capture, layout, scale, frames, held_out, scan)
     wanted = dict(options) if preset is None else {**options, "preset": preset}
     launch(source, out, wanted, resume, overwrite, quiet, lambda text: None, device)
     return formats.load(out / MODEL)
 
 
 def source_of(capture: str | Path | None, layout: str | None, scale: float | None, frames: slice | None,
-              held_out: Sequence[str] | None) -> Source:
-    """The Source of open_capture()'s arguments."""
+              held_out: Sequence[str] | None, scan: str | Path | None = None) -> Source:
+    """The Source of open_capture()'s arguments, and of a scan of the place."""
     from ...captures.capture import Options
     from .plan import NO_END, Source
 
     Options(scale, frames, held_out)  # checks them
     part = None if frames is None else (frames.start or 0, NO_END if frames.stop is None else frames.stop, frames.step or 1)
-    return Source(None if capture is None else str(Path(capture).absolute()), layout, scale, part,
-                  None if held_out is None else tuple(held_out))
+    named = (None if place is None else str(Path(place).absolute()) for place in (capture, scan))
+    return Source(next(named), layout, scale, part, None if held_out is None else tuple(held_out), next(named))
 
 
 def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: bool, overwrite: bool, quiet: bool,

@@ -10,8 +10,9 @@ from collections.abc import Callable, Collection
 from dataclasses import asdict, dataclass, fields, replace
 from pathlib import Path
 
-from ...captures import open_capture
+from ...captures import open_capture, open_scan
 from ...captures.capture import Capture
+from ...captures.scan import with_scan
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
@@ -33,7 +34,7 @@ NO_END = 1 << 30
 class Source:
     """What a run is trained on, as open_capture() takes it; None where the layout of the capture decides.
 
-    capture  the folder or file
+    capture  the folder or file;  scan: that of photographs of its place, or None
     frames   first frame, end (not included; or NO_END) and step of the part that is used
     """
 
@@ -42,6 +43,7 @@ class Source:
     scale: float | None = None
     frames: tuple[int, int, int] | None = None
     held_out: tuple[str, ...] | None = None
+    scan: str | None = None
 
     def open(self) -> Capture:
         """The capture; raises FastGSError."""
@@ -51,7 +53,8 @@ class Source:
         if self.frames is not None:
             first, end, step = self.frames
             frames = slice(first, end if end < NO_END else None, step)
-        return open_capture(self.capture, scale=self.scale, frames=frames, held_out=self.held_out, layout=self.layout)
+        capture = open_capture(self.capture, scale=self.scale, frames=frames, held_out=self.held_out, layout=self.layout)
+        return capture if self.scan is None else with_scan(capture, open_scan(self.scan))
 
 
 NOTHING = Source()
@@ -163,7 +166,7 @@ def _for_its_rig(settings: Settings, capture: Capture, named: Collection[str]) -
 
 def _continued(out: Path, old: Source, new: Source) -> Source:
     """What a resumed run is trained on.  A capture that was moved is taken from its new place."""
-    for name in ("layout", "scale", "frames", "held_out"):
+    for name in ("layout", "scale", "frames", "held_out", "scan"):
         if getattr(new, name) is not None and old.capture is not None:
             _agree(out, name, getattr(old, name), getattr(new, name))
     if old.capture is None:

@@ -33,6 +33,7 @@ from ..core.trainer import Trainer
 from ..initial.continued import settled, start_after
 from ..initial.refine import refinement
 from ..initial.start import start
+from ..initial.visual_hull import hull_of
 from . import checkpoint, written
 from . import plan as plans
 from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MODEL, SEGMENTS
@@ -165,7 +166,8 @@ class _Session:
                 else:
                     began = start(capture, store, settings, self.reporter.say, report)
             began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
-        trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes)
+        trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes,
+                          hull=hull_of(capture, store, self.reporter.say))
         if found is not None:
             trainer.restore(*found)
 

@@ -13,7 +13,7 @@ from spots import SpotRig
 import fastgs_blender as fg
 from fastgs_blender.cameras.colmap_files import MODELS
 from fastgs_blender.cameras.lens import Intrinsics, Lens
-from fastgs_blender.captures import open_capture
+from fastgs_blender.captures import open_capture, open_scan
 from fastgs_blender.captures.pixels.checks import problems
 
 NAMES = ["cam00", "cam01", "cam02"]
@@ -73,6 +73,19 @@ def test_a_rig_of_sequences(tmp_path, tmp_path_factory, binary, place):
     np.testing.assert_allclose(capture.points.rgb, COLOURS / 255, atol=1e-6)
     assert capture.points.t is None
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
+
+
+def test_photographs_that_belong_to_no_film_are_a_scan(tmp_path):
+    write_rig(tmp_path / "images", names=NAMES[:2])
+    RIG.write_picture(tmp_path / "images" / "walk.png", 2, 0)
+    write_model(tmp_path / "sparse/0", [*(f"{name}/0001.png" for name in NAMES[:2]), "walk.png"])
+    assert open_capture(tmp_path).views == NAMES[:2]
+    scan = open_scan(tmp_path)
+    assert scan.views == ["walk"] and len(scan) == 1
+    np.testing.assert_allclose(scan.shots[0].camera.world_to_camera, RIG.poses[2], atol=1e-9)
+    write_model(tmp_path / "sparse/0", [f"{name}/0001.png" for name in NAMES[:2]])
+    with pytest.raises(fg.FastGSError, match="belong to films"):
+        open_scan(tmp_path)
 
 
 def test_pictures_named_after_their_camera_stand_for_its_sequence(tmp_path, tmp_path_factory):
