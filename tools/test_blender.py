@@ -93,14 +93,36 @@ def main() -> int:
         print(f"No zip for the Blenders here: {reason}", file=sys.stderr)
         return int(not lenient)
     print(f"{len(found)} Blenders and their zips were ready after {time.monotonic() - start:.0f} s.", flush=True)
+    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # who waits no longer still sees how far the tests came
     tests = {suite: ring(suite, folder, {**os.environ, **made[python_of(folder)]}) for suite, folder in found.items()}
-    for suite, process in tests.items():
-        print(f"Blender of Debian {suite}:\n{process.communicate()[0]}", flush=True)
+    try:
+        for process in tests.values():
+            process.wait()
+    finally:
+        for process in tests.values():
+            process.send_signal(signal.SIGINT)  # pytest says where it is, and ends
+        for suite, process in tests.items():
+            ended(process)
+            print(f"Blender of Debian {suite}:\n{report(suite).read_text(errors='replace')}", flush=True)
     print(f"make test-blender took {time.monotonic() - start:.0f} s; logs and pictures are in {OUTPUT.relative_to(ROOT)}.")
     failed = [suite for suite, process in tests.items() if process.returncode]
     if failed:
         FAILED.write_text(" ".join(failed) + "\n")
     return int(bool(failed))
+
+
+def report(suite: str) -> Path:
+    """What the tests on a release print."""
+    return OUTPUT / f"tests-{suite}.txt"
+
+
+def ended(process: subprocess.Popen) -> None:
+    """Wait for tests that were asked to end; those that do not are killed."""
+    try:
+        process.wait(20)
+    except subprocess.TimeoutExpired:
+        os.killpg(process.pid, signal.SIGKILL)
+        process.wait()
 
 
 def ring(suite: str, folder: str, environment: dict[str, str]) -> subprocess.Popen:
@@ -110,8 +132,9 @@ def ring(suite: str, folder: str, environment: dict[str, str]) -> subprocess.Pop
         shutil.rmtree(known, ignore_errors=True)
     rules = str(int(suite in os.environ.get("WINDOWS_RULES", "").split()))
     own = {"FASTGS_BLENDER_ROOT": folder, "FASTGS_BLENDER_OUTPUT": str(OUTPUT / suite), "FASTGS_WINDOWS_RULES": rules}
-    return subprocess.Popen([sys.executable, "-m", "pytest", "tests/blender", "-o", f"cache_dir={known}", *sys.argv[1:]], cwd=ROOT,
-                            env=environment | own, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True)
+    command = [sys.executable, "-m", "pytest", "tests/blender", "-v", "--durations=15", "-o", f"cache_dir={known}", *sys.argv[1:]]
+    with report(suite).open("w") as file:  # a session of its own: a signal to all of this group is not for the tests
+        return subprocess.Popen(command, cwd=ROOT, env=environment | own, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
 
 
 if __name__ == "__main__":
