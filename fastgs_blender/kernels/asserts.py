@@ -51,7 +51,7 @@ smoothed = _of(values="v d", first="e")
 project_points = _of(xyz="p 3")
 resample = _of(image="a b c", positions="h w 2")
 steps_since = _of(moved="n")
-anchor = _of(features="n f", held="n f", gradient="n f")
+anchor = _of(features="n f", target="n f", gradient="n f")
 
 
 def forward(parameters: Any, template: GaussianModel) -> None:

@@ -246,8 +246,8 @@ class TrainingBackend(PictureBackend, Protocol):
         steps; after None those that were made before are not called any more.  All forward() of a step come before its first
         backward()."""
 
-    def rows(self, seen: Array, held: int = 0) -> Rows:
-        """The Gaussians, but for the first `held`, whose value in seen [N] is not 0.  seen may be written to."""
+    def rows(self, seen: Array, frozen: int = 0) -> Rows:
+        """The Gaussians, but for the first `frozen`, whose value in seen [N] is not 0.  seen may be written to."""
 
     def count(self, rows: Rows) -> Array:
         """The number of these rows, [1] float64."""
@@ -261,8 +261,8 @@ class TrainingBackend(PictureBackend, Protocol):
     def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, since: Array) -> Array:
         """The penalty of motion [N, K, 3], [1] float64; scale * since[n] * its gradient is added to gradient [N, K, 3]."""
 
-    def anchor(self, features: Array, held: Array, gradient: Array, rows: Rows, strength: float) -> None:
-        """Add strength * (features [N, F] - held) to the gradient [N, F] of those rows whose held [N, F] is not NaN
+    def anchor(self, features: Array, target: Array, gradient: Array, rows: Rows, strength: float) -> None:
+        """Add strength * (features [N, F] - target) to the gradient [N, F] of those rows whose target [N, F] is not NaN
         (training/core/anchor.py)."""
 
     def mcmc_penalty(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
@@ -272,9 +272,9 @@ class TrainingBackend(PictureBackend, Protocol):
         parameters, gradients  by name, of the same shapes; opacity [N] and scale [N, 3] are looked at
         """
 
-    def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...], held: int = 0) -> None:
-        """Move nearly transparent Gaussians, but for the first `held`, at random, each in its own shape, by about reach (MCMC); key: whole
-        numbers that decide the random numbers.  Of the parameters, position [N, 3] is written to."""
+    def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...], frozen: int = 0) -> None:
+        """Move nearly transparent Gaussians, but for the first `frozen`, at random, each in its own shape, by about reach (MCMC); key:
+        whole numbers that decide the random numbers.  Of the parameters, position [N, 3] is written to."""
 
     def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
         """A step of Adam in place, against the gradients, for these rows alone, each as far as cpu.adam.reach() says; moved [N] int64

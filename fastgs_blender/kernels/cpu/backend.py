@@ -79,8 +79,8 @@ class CPU:
     over = staticmethod(training.over)
     backward = staticmethod(training.backward)
 
-    def rows(self, seen, held=0):
-        return held + np.flatnonzero(seen[held:])
+    def rows(self, seen, frozen=0):
+        return frozen + np.flatnonzero(seen[frozen:])
 
     def count(self, rows):
         return np.array([len(rows)], np.float64)

@@ -60,11 +60,11 @@ def steps_since(rows: np.ndarray, moved: np.ndarray, step: int) -> np.ndarray:
     return out
 
 
-def anchor(features: np.ndarray, held: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
+def anchor(features: np.ndarray, target: np.ndarray, gradient: np.ndarray, rows: np.ndarray, strength: float) -> None:
     """TrainingBackend.anchor()."""
-    asserts.anchor(features, held, gradient)
-    rows = rows[np.isfinite(held[rows, 0])]
-    gradient[rows] += np.float32(strength) * (features[rows] - held[rows])
+    asserts.anchor(features, target, gradient)
+    rows = rows[np.isfinite(target[rows, 0])]
+    gradient[rows] += np.float32(strength) * (features[rows] - target[rows])
 
 
 def mcmc_penalty(parameters: dict, gradients: dict, opacity_weight: float, scale_weight: float, extent: float) -> None:
@@ -76,12 +76,12 @@ def mcmc_penalty(parameters: dict, gradients: dict, opacity_weight: float, scale
     gradients["scale"] += (scale_weight / (3 * n) * np.exp(parameters["scale"]) / extent).astype(np.float32)
 
 
-def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...], held: int = 0) -> None:
+def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...], frozen: int = 0) -> None:
     """TrainingBackend.mcmc_noise()."""
     asserts.mcmc_noise(parameters)
     opacity = sigmoid(parameters["opacity"])
     gate = 1 / (1 + np.exp(-SHARPNESS * ((1 - opacity) - GATE)))
-    rows = held + np.flatnonzero(gate[held:] > NEGLIGIBLE)
+    rows = frozen + np.flatnonzero(gate[frozen:] > NEGLIGIBLE)
     if not len(rows):
         return
     step = np.random.default_rng(key).standard_normal((len(rows), 3)) * (gate[rows] * reach)[:, None]

@@ -127,9 +127,9 @@ class GPU(CPU):
     begin_step = _on_device(steps.begin)
     end_step = _on_device(steps.end)
 
-    def rows(self, seen: Any, held: int = 0) -> Any:
-        if held:
-            copy_in(self.device, self.device.zeros((held,)).buffer, 0, seen, 0, held)
+    def rows(self, seen: Any, frozen: int = 0) -> Any:
+        if frozen:
+            copy_in(self.device, self.device.zeros((frozen,)).buffer, 0, seen, 0, frozen)
         return seen
 
     count = _on_device(steps.count)

@@ -217,7 +217,7 @@ def _step(backend: CPU) -> dict[str, np.ndarray]:
     parameters = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
     slopes = {name: backend.array(rng.normal(0, 1, array.shape).astype(np.float32)) for name, array in model.arrays.items()}
     rows = backend.rows(backend.array((np.arange(N) % 2).astype(np.float32)))
-    held = backend.array(np.where(np.arange(N)[:, None] % 3 == 0, np.nan, 0.5 * model.features).astype(np.float32))
+    target = backend.array(np.where(np.arange(N)[:, None] % 3 == 0, np.nan, 0.5 * model.features).astype(np.float32))
     moved = backend.array(np.arange(N) % 5)
     since = backend.steps_since(rows, moved, 9)
     found = {"since": since, "count": backend.count(rows)}
@@ -225,7 +225,7 @@ def _step(backend: CPU) -> dict[str, np.ndarray]:
     for reading in ("mean", "group"):
         norm = MotionNorm(None, 100 * weights, 2.0, 1e-2, reading)
         found[f"penalty {reading}"] = backend.motion_penalty(norm, parameters["motion"], slopes["motion"], 0.3, since)
-    backend.anchor(parameters["features"], held, slopes["features"], rows, 2.0)
+    backend.anchor(parameters["features"], target, slopes["features"], rows, 2.0)
     backend.mcmc_penalty(parameters, slopes, 1000.0, 1000.0, 2.0)
     tensors = [(backend.zeros(model.arrays[name].shape), slopes[name], *(backend.zeros(model.arrays[name].shape) for _ in range(2)),
                 backend.zeros((N,), np.int32), 1e-2, name == "scale") for name in ("motion", "scale", "opacity", "features")]

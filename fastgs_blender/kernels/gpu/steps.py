@@ -58,10 +58,10 @@ def steps_since(device: Device, rows: Array, moved: Array, step: int) -> Array:
     return out
 
 
-def anchor(device: Device, features: Array, held: Array, gradient: Array, rows: Array, strength: float) -> None:
+def anchor(device: Device, features: Array, target: Array, gradient: Array, rows: Array, strength: float) -> None:
     """TrainingBackend.anchor()."""
-    asserts.anchor(features, held, gradient)
-    for _, (some, *arrays) in pieces(rows, features, held, gradient):
+    asserts.anchor(features, target, gradient)
+    for _, (some, *arrays) in pieces(rows, features, target, gradient):
         numbers, columns = math.prod(arrays[0].shape), features.shape[1]
         device.run("anchor", numbers, [[numbers, columns, 0, 0], [strength, 0.0, 0.0, 0.0]], some, *arrays)
 
@@ -75,12 +75,12 @@ def mcmc_penalty(device: Device, parameters: dict, gradients: dict, opacity_weig
         device.run("mcmc_penalty", len_(arrays[0]), [[len_(arrays[0]), 0, 0, 0], weights], *arrays)
 
 
-def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, ...], held: int = 0) -> None:
+def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, ...], frozen: int = 0) -> None:
     """TrainingBackend.mcmc_noise()."""
     asserts.mcmc_noise(parameters)
     seeds = np.random.SeedSequence(key).generate_state(2).tolist()
     for first, arrays in pieces(*(parameters[name] for name in ("opacity", "rotation", "scale", "position"))):
-        job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE], [held, 0, 0, 0]]
+        job = [[len_(arrays[0]), *seeds, first], [reach, GATE, SHARPNESS, NEGLIGIBLE], [frozen, 0, 0, 0]]
         device.run("mcmc_noise", len_(arrays[0]), job, *arrays, device.spilled)
 
 

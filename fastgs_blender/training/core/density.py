@@ -26,7 +26,7 @@ class Strategy:
     """Base class of the strategies: at which steps they act, and how many Gaussians they may add.
 
     settings, extent (of the capture), template (a model of the kinds that are trained), centres [C, 3] of the cameras
-    held  how many Gaussians, the first ones, stay as they are
+    frozen  how many Gaussians, the first ones, stay as they are
     """
 
     name = ""
@@ -34,7 +34,7 @@ class Strategy:
     def __init__(self, settings: Settings, extent: float, template: GaussianModel, centres: np.ndarray | None = None) -> None:
         self.settings, self.extent, self.template = settings, extent, template
         self.centres = np.zeros((0, 3)) if centres is None else centres
-        self.held = 0
+        self.frozen = 0
         self.first = int(settings.densify_from * settings.iterations)
         self.last = int(settings.densify_until * settings.iterations)
         every = settings.densify_every
@@ -95,7 +95,7 @@ class Default(Strategy):
             changed = True
         if self._resets(iteration):
             opacity = optimiser.arrays["opacity"]
-            rows = self.held + np.flatnonzero(opacity[self.held:] > _logit(0.01))
+            rows = self.frozen + np.flatnonzero(opacity[self.frozen:] > _logit(0.01))
             opacity[rows] = _logit(0.01)
             optimiser.reset("opacity", rows)
         return changed
@@ -108,7 +108,7 @@ class Default(Strategy):
             arrays["scale"][anchored] = np.minimum(arrays["scale"][anchored], np.log(largest[anchored])[:, None] - 1e-3)
         keep = sigmoid(arrays["opacity"]) >= self.settings.prune_opacity
         keep &= np.exp(arrays["scale"].max(1)) <= largest
-        keep[:self.held] = True
+        keep[:self.frozen] = True
         if keep.all() or not keep.any():
             return
         rows = np.flatnonzero(keep)
@@ -127,7 +127,7 @@ class Default(Strategy):
         s, arrays = self.settings, optimiser.arrays
         total = statistics.gradient if s.densify_gradient == "plain" else statistics.absolute
         score = total / np.maximum(statistics.seen, 1)
-        score[:self.held] = 0
+        score[:self.frozen] = 0
         n = len(score)
         room = self._room(iteration, n)
         wanting = np.flatnonzero(score > s.densify_threshold)
@@ -167,8 +167,8 @@ class MCMC(Strategy):
     def after_step(self, iteration: int, optimiser: Rows, statistics: Statistics, rates: dict) -> bool:
         if not self.due(iteration):
             return False
-        rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"][self.held:])
-        dead, alive = (self.held + np.flatnonzero((opacity <= self.settings.prune_opacity) == gone) for gone in (True, False))
+        rng, opacity = generator(self.settings.seed, DENSITY, iteration), sigmoid(optimiser.arrays["opacity"][self.frozen:])
+        dead, alive = (self.frozen + np.flatnonzero((opacity <= self.settings.prune_opacity) == gone) for gone in (True, False))
         if len(alive):
             self._relocate(optimiser, dead, alive, rng)
             self._add(iteration, optimiser, rng)
@@ -191,8 +191,8 @@ class MCMC(Strategy):
         room = self._room(iteration, len(arrays["opacity"]))
         if room <= 0:
             return
-        weight = sigmoid(arrays["opacity"][self.held:])
-        source = self.held + rng.choice(len(weight), room, p=weight / weight.sum())
+        weight = sigmoid(arrays["opacity"][self.frozen:])
+        source = self.frozen + rng.choice(len(weight), room, p=weight / weight.sum())
         self._share(optimiser, source)
         optimiser.append({name: array[source].copy() for name, array in arrays.items() if _per_gaussian(name)})
 
@@ -212,7 +212,7 @@ class MCMC(Strategy):
     def add_noise(self, backend: Any, iteration: int, arrays: dict, rates: dict) -> None:
         if iteration <= self.last:
             strength = NOISE_STRENGTH * 5e5 * rates["position"] / self.extent**2  # the authors' factor, where the extent is 1
-            backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration), self.held)
+            backend.mcmc_noise(arrays, strength, (self.settings.seed, NOISE, iteration), self.frozen)
 
 
 STRATEGIES = {cls.name: cls for cls in (Default, MCMC)}

@@ -15,7 +15,7 @@ class Start:
     model   one Gaussian for each starting point, or those of a model that shows the scene (warm)
     sizes   [N] distances between its backdrop's Gaussians, NaN for others (anchor.py)
     depth   how far away is what the cameras film; None: the capture's extent
-    held    how many Gaussians, the first ones, stay as they are
+    frozen  how many Gaussians, the first ones, stay as they are
     gains, fades, clocks  what CameraResponse.initial() takes;  unsure: what CameraTurns.initial() takes
     """
 
@@ -26,5 +26,5 @@ class Start:
     fades: np.ndarray | None = None
     clocks: np.ndarray | None = None
     warm: bool = False
-    held: int = 0
+    frozen: int = 0
     unsure: Mapping[str, float] = field(default_factory=dict)

@@ -64,8 +64,8 @@ def check_state(arrays: dict[str, np.ndarray], about: dict, template: GaussianMo
         raise FastGSError(f"it does not say what the cameras stand around; {ADVICE}")
     if not isinstance(about.get("warm"), bool):
         raise FastGSError(f"it does not say whether it began with a model; {ADVICE}")
-    if not is_number(about.get("held", 0), 0, LARGEST_COUNT, int):
-        raise FastGSError(f"it does not say how many Gaussians are held; {ADVICE}")
+    if not is_number(about.get("frozen", 0), 0, LARGEST_COUNT, int):
+        raise FastGSError(f"it does not say how many Gaussians are frozen; {ADVICE}")
     expected = _expected(arrays, template)
     odd = sorted(arrays.keys() ^ expected.keys())
     if odd:
@@ -138,7 +138,7 @@ def _in_range(name: str, array: np.ndarray, iteration: int) -> bool:
         return bool(np.isfinite(array).all())
     kind = "features" if rest == [ANCHOR] else rest[0]
     bounded = (np.abs(array) <= LIMIT) & (array <= LIMITS.get(kind, LIMIT))
-    return bool((bounded | np.isnan(array) if rest == [ANCHOR] else bounded).all())  # NaN: not held
+    return bool((bounded | np.isnan(array) if rest == [ANCHOR] else bounded).all())  # NaN: no target
 
 
 def _cameras_in_range(part: str, array: np.ndarray) -> bool:

@@ -95,7 +95,7 @@ class Trainer:
         self.depth, self.warm = self.extent, False
         if start is not None:
             self.depth, self.warm = start.depth or self.extent, start.warm
-            self.strategy.held = start.held
+            self.strategy.frozen = start.frozen
             self.optimiser = Optimiser(_trained_arrays(start, decoder), backend=self.backend)
             self.statistics = Statistics.empty(self.backend, len(start.model))
 
@@ -132,7 +132,7 @@ class Trainer:
         gradients = self._backward(views, statistics, seen)
         losses = [view.loss.values for view in views if view.loss is not None]
         gradients, seen, losses, self.statistics = processes.sum_step(backend, gradients, seen, losses, statistics)
-        rows = backend.rows(seen, self.strategy.held)
+        rows = backend.rows(seen, self.strategy.frozen)
         penalty = self._regularise(gradients, rows)
         self.optimiser.step(gradients, rows, rates)
         end = backend.end_step(backend.count(rows), penalty, *losses, *measured)
@@ -265,7 +265,7 @@ class Trainer:
         return ({f"{part}.{name}": array for part, arrays in parts.items() for name, array in arrays.items()},
                 {"iteration": self.iteration, "settings": self.settings.to_dict(), "capture": fingerprint(self.capture),
                  "clip": [clip.frame_count, clip.fps, clip.start_frame], "axes": self.capture.axes, "around": self.around,
-                 "depth": self.depth, "warm": self.warm, "held": self.strategy.held})
+                 "depth": self.depth, "warm": self.warm, "frozen": self.strategy.frozen})
 
     def restore(self, arrays: dict[str, np.ndarray], about: dict) -> None:
         """Continue from what state() gave; raises FastGSError if it is damaged, or belongs to another capture."""
@@ -279,7 +279,7 @@ class Trainer:
 
         self.iteration, self.depth, self.warm = about["iteration"], float(about["depth"]), about["warm"]
         self.optimiser = Optimiser.restored(part("optimiser"), self.backend)
-        self.strategy.held = about.get("held", 0)
+        self.strategy.frozen = about.get("frozen", 0)
         self.statistics = Statistics.restored(self.backend, part("statistics"))
         self.delayed.restore(part("cameras"))
         self._prepared = -1, []

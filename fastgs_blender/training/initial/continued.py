@@ -132,7 +132,7 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     arrays = {name: np.concatenate([model.arrays[name] for model in models]) for name in before.arrays}
     first = replace(before, **arrays, clip=capture.clip)
     say(f"beginning with the segment before: {held.sum()} Gaussians are held, {len(models[1])} go on, {len(timed)} are new")
-    return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), held=int(held.sum()))
+    return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), frozen=int(held.sum()))
 
 
 def _going_on(model: GaussianModel, at: float, settings: Settings) -> GaussianModel:

@@ -74,7 +74,7 @@ def test_training_through_the_protocol(fake, density, mask, options):
                                density=density, preview_every=0, **options)
     model = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     sizes = np.where(np.arange(len(points)) < 10, 0.3, np.nan)
-    ours, theirs = (Trainer(capture, store, chosen, Start(model, sizes, held=9), backend=name) for name in ("cpu", "fake"))
+    ours, theirs = (Trainer(capture, store, chosen, Start(model, sizes, frozen=9), backend=name) for name in ("cpu", "fake"))
     used = set()
     for number in range(1, 13):
         fake.calls.clear()

@@ -168,7 +168,7 @@ def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, density):
                                density=density, max_gaussians=150, backdrop=0.0, exposures="off", clocks="off", poses="off")
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     first.opacity[:5] = -3.0
-    trainer = Trainer(capture, store, chosen, Start(first, held=40))
+    trainer = Trainer(capture, store, chosen, Start(first, frozen=40))
     for _ in range(12):
         trainer.step()
     after = trainer.model()

@@ -7,7 +7,7 @@
 struct Job {
     size: vec4u, // rows, key, key, the first one's number
     reach: vec4f, // reach, gate, sharpness, the least share that counts
-    held: vec4u, // how many, the first ones, stay as they are
+    frozen: vec4u, // how many, the first ones, stay as they are
 }
 
 @group(0) @binding(0) var<uniform> job: Job;
@@ -24,7 +24,7 @@ fn pcg(x: u32) -> u32 {
 }
 
 fn thread(row: u32) {
-    if spilled[0] != 0u || job.size.w + row < job.held.x {
+    if spilled[0] != 0u || job.size.w + row < job.frozen.x {
         return;
     }
     let o = 1.0 / (1.0 + exp(-opacity[row]));

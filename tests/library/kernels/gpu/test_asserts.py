@@ -50,7 +50,7 @@ def calls(backend, make_model, rng):
         "steps_since": {"rows": rows, "moved": backend.zeros((N,), np.int64), "step": 1},
         "motion_penalty": {"norm": MotionNorm(None, np.ones(3 * terms), 1.0, 0.1, "mean"), "motion": some(N, terms, 3),
                            "gradient": some(N, terms, 3), "scale": 1.0, "since": some(N)},
-        "anchor": {"features": some(N, 9), "held": some(N, 9), "gradient": some(N, 9), "rows": rows, "strength": 1.0},
+        "anchor": {"features": some(N, 9), "target": some(N, 9), "gradient": some(N, 9), "rows": rows, "strength": 1.0},
         "mcmc_penalty": {"parameters": parameters("opacity", "scale"), "gradients": parameters("opacity", "scale"), "opacity_weight": 1.0,
                    "scale_weight": 1.0, "extent": 1.0},
         "mcmc_noise": {"parameters": parameters("opacity", "scale", "rotation", "position"), "reach": 1.0, "key": (1,)},

@@ -145,7 +145,7 @@ def test_what_is_held_stays(gpu, adapter, density):
                                densify_threshold=0.0, exposures="off", clocks="off", poses="off")
     first = model_from_points(points, chosen, capture.clip, capture.axes, capture.extent)
     first.opacity[:40:2] = -7.0
-    trainer = Trainer(capture, store, chosen, Start(first, held=33), backend=f"gpu:{adapter.name}")
+    trainer = Trainer(capture, store, chosen, Start(first, frozen=33), backend=f"gpu:{adapter.name}")
     for _ in range(6):
         trainer.step()
     after = trainer.model()
