@@ -3,12 +3,14 @@
 import math
 from concurrent.futures import CancelledError
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
 from .. import fastgs_blender as fg
 from ..fastgs_blender.rendering.exposure import Aperture
 from ..fastgs_blender.rendering.instances import Moment
+from ..fastgs_blender.rendering.relight import SceneLight
 from ..fastgs_blender.util.backends import describe_backend, failure_of, take_overflow
 from ..fastgs_blender.util.threads import set_threads
 from ..scene import camera, devices, exposure, holdout, lamps, notices, objects, settings, shadows, sky, snapshot, unshown, world
@@ -43,12 +45,13 @@ def _render_layer(engine, depsgraph):
         settings_now = replace(settings_now, shadows=shadows.shadows_of(depsgraph))
     of_lamps, status = any(entry.light for entry in wanted), Status(engine, f"{scene.name}, {layer.name}")
     around = _panorama(engine, scene, lamps.world_of(depsgraph, of_lamps), status, light=True)
-    settings_now = replace(settings_now, light=lamps.scene_light(depsgraph, passes=of_lamps, around=around))
+    light_of = partial(lamps.scene_light, passes=of_lamps, around=around)
+    settings_now = replace(settings_now, light=light_of(depsgraph))
     surfaces = lamps.surfaces(depsgraph) if settings_now.light or any(entry.name in ("normal", "unlit") for entry in wanted) else {}
     shutter = exposure.times(scene)
     middle = (shutter[0] + shutter[-1]) / 2 if shutter else 0.0
     vectors = [middle - 1, middle + 1] if _has(wanted, "vector") else []
-    taken = _moments(engine, depsgraph, area, views, vectors + shutter)
+    taken = _moments(engine, depsgraph, area, views, vectors + shutter, light_of if settings_now.light else lambda depsgraph: None)
     for text in unshown.all_of(scene, layer):
         notices.warn(engine, text)
     background = _background(engine, scene, layer, status)
@@ -69,8 +72,10 @@ def _render_layer(engine, depsgraph):
         status(f"Rendering {view}".strip() + f" on {describe_backend(backend)}")
         moments = [each.moment(view) for each in taken]
         before, after = moments[:2] if vectors else (None, None)
-        found = replace(settings_now, before=before, after=after)
-        blur = exposure.exposure(scene, moments[len(vectors):], now.lens)
+        blur, light = exposure.exposure(scene, moments[len(vectors):], now.lens), settings_now.light
+        if light is not None and blur is not None:
+            light = light.exposed([each.light for each in taken[len(vectors):] if each.light is not None], blur.curve)
+        found = replace(settings_now, before=before, after=after, light=light)
         images = worker.run(
             lambda progress, eye=eye, found=found, blur=blur: passes.images(
                 instances, eye, wanted, background(eye), progress, found, blur, now.holdout, backend),
@@ -123,12 +128,13 @@ def _panorama(engine, scene, shown, status, light=False) -> sky.Panorama | None:
 @dataclass(frozen=True, eq=False)
 class _SceneMoment:
     """A scene at one moment, copied out of the depsgraph: its splats, the camera of each of the frame's pictures by its name, the lens of
-    the camera, and the triangles that hide splats."""
+    the camera, the triangles that hide splats, and what lights these, which the frame's own moment has elsewhere."""
 
     shown: snapshot.Snapshot
     cameras: dict[str, fg.Camera]
     lens: Aperture | None
     holdout: np.ndarray | None
+    light: SceneLight | None = None
 
     def moment(self, view: str) -> Moment:
         """The library's Moment of this scene, for the picture of that name."""
@@ -142,7 +148,7 @@ def _moment(engine, depsgraph, area, views) -> _SceneMoment:
     return _SceneMoment(snapshot.take(depsgraph), cameras, lens, holdout.hidden_by(depsgraph))
 
 
-def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_SceneMoment]:
+def _moments(engine, depsgraph, area, views, frames: list[float], light_of) -> list[_SceneMoment]:
     """The scene at each of these offsets in frames from the current one; the frame of the depsgraph is restored afterwards."""
     scene = depsgraph.scene
     frame, subframe = scene.frame_current, scene.frame_subframe
@@ -151,9 +157,11 @@ def _moments(engine, depsgraph, area, views, frames: list[float]) -> list[_Scene
         for later in frames:
             there = frame + subframe + later
             engine.frame_set(math.floor(there), there - math.floor(there))
-            moment = _moment(engine, depsgraph, area, views)
+            moment = replace(_moment(engine, depsgraph, area, views), light=light_of(depsgraph))
             if taken and np.array_equal(moment.holdout, taken[-1].holdout):  # what stands still is kept once
                 moment = replace(moment, holdout=taken[-1].holdout)
+            if taken and moment.light and taken[-1].light and np.array_equal(moment.light.meshes, taken[-1].light.meshes):
+                moment = replace(moment, light=replace(moment.light, meshes=taken[-1].light.meshes))
             taken.append(moment)
     finally:
         if frames:

@@ -6,8 +6,8 @@ intensity P / (4 pi) to all sides (point, spot), or P / pi along its axis (area)
 """
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -15,6 +15,8 @@ from numpy.typing import ArrayLike
 from ..util.errors import FastGSError
 from .shadow import Light
 
+TIMES = 8
+"""Times at which a lamp of one point throws shadows while a shutter is open, if these move."""
 Beam = Callable[[np.ndarray], np.ndarray]
 """Which share of its intensity a lamp sends at an angle to its axis, of the cosines [N] of the angles: [N]."""
 
@@ -26,7 +28,7 @@ class Lamp:
     light   its points
     colour  [3] or [L, 3] scene linear: of a sun the irradiance of a surface that faces it, of other lamps the radiant intensity along the
             axis; each point has this colour, or its own, and the lamp is their mean
-    axis    unit vector [3] in the world along which it shines; None: it shines alike to all sides
+    axis    unit vector [3] in the world along which it shines, or one for each point [L, 3]; None: it shines alike to all sides
     beam    how it fades away from the axis
     soft    radius within which it gets no brighter (Cycles' soft falloff)
     name    by which ObjectSettings and SceneLight know what it does not light, and what its light passes
@@ -46,6 +48,8 @@ class Lamp:
         if colour.shape not in ((3,), (len(self.light.points), 3)) or not np.isfinite(colour).all():
             raise FastGSError("a lamp needs a colour of three finite numbers, for all of its points or for each.")
         object.__setattr__(self, "colour", np.broadcast_to(colour, (len(self.light.points), 3)))
+        if self.axis is not None:
+            object.__setattr__(self, "axis", np.broadcast_to(np.asarray(self.axis, np.float64), (len(self.light.points), 3)))
 
     def share(self, number: int, position: np.ndarray, normal: np.ndarray) -> np.ndarray:
         """How much of its colour its point of that number sends to positions [3, M] with unit normals [3, M], in the world: [M]."""
@@ -57,8 +61,44 @@ class Lamp:
         length = np.sqrt(square)
         share = np.maximum(normal[0] * x + normal[1] * y + normal[2] * z, 0) / ((square + self.soft**2) * length)
         if self.beam is not None and self.axis is not None:
-            share *= self.beam(-(self.axis[0] * x + self.axis[1] * y + self.axis[2] * z) / length)
+            along = self.axis[number]
+            share *= self.beam(-(along[0] * x + along[1] * y + along[2] * z) / length)
         return share
+
+    def like(self, other: Lamp) -> bool:
+        """Whether another lamp stands where it does and shines as it does."""
+        return all(np.array_equal(a, b) for a, b in zip(self._rows(), other._rows(), strict=True))
+
+    def exposed(self, moments: Sequence[Lamp], curve: Sequence[float]) -> Lamp:
+        """This lamp while a shutter is open: each of its points shines at one time, and a point with much of its light at several.
+
+        moments  itself [M], with as many points, at times evenly spread over the exposure
+        curve    how far the shutter is open, likewise
+        """
+        bright = np.abs(self.colour).sum(1)
+        copies = np.maximum(np.round(TIMES * bright / max(bright.sum(), 1e-30)), 1).astype(int)
+        point = np.repeat(np.arange(len(copies)), copies)
+        times = _times(copies, curve)
+        first = np.minimum((times * (len(moments) - 1)).astype(int), len(moments) - 2)
+        share = (times * (len(moments) - 1) - first)[:, None]
+        points, colour, axis = (each[first, point] + share * (each[first + 1, point] - each[first, point])
+                                for each in (np.stack(rows) for rows in zip(*(each._rows() for each in moments), strict=True)))
+        if self.light.parallel:
+            points /= np.maximum(np.linalg.norm(points, axis=1, keepdims=True), 1e-30)
+        colour *= (len(point) / len(copies) / copies[point])[:, None]
+        return replace(self, light=Light(points, self.light.parallel, times), colour=colour, axis=None if self.axis is None else axis)
+
+    def _rows(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """What moves of its points: their places, colours and axes, [L, 3] each."""
+        return self.light.points, self.colour, np.zeros_like(self.colour) if self.axis is None else self.axis
+
+
+def _times(copies: np.ndarray, curve: Sequence[float]) -> np.ndarray:
+    """Times from 0 to 1, so many of each point of a lamp: those of all points, and of each one, are as dense as the shutter is open."""
+    even = np.concatenate([(np.arange(count) + (k + 0.5) / len(copies)) / count for k, count in enumerate(copies)])
+    x = np.linspace(0, 1, 4097)
+    light = np.interp((x[1:] + x[:-1]) / 2, np.linspace(0, 1, len(curve)), curve).cumsum()
+    return np.interp(even, np.concatenate([[0], light / light[-1]]), x)
 
 
 def cone(angle: float, blend: float) -> Beam:

@@ -53,6 +53,7 @@ class SceneLight:
     levels  the number of each lamp's passes, from 0; lamps may share one.  Empty: they are numbered in their order
     clear   by the names of lamps, which of the meshes' triangles let their light through: masks [F]
     reach   distance from meshes up to which they take light from all around, for the pass of contact occlusion
+    moments  the meshes at times evenly spread over an exposure, which the lamps' points throw shadows of; empty: they stand still
     """
 
     lamps: tuple[Lamp, ...]
@@ -62,11 +63,31 @@ class SceneLight:
     levels: tuple[int, ...] = ()
     reach: float = 0.3
     clear: Mapping[str, np.ndarray] = field(default_factory=dict)
+    moments: tuple[np.ndarray, ...] = ()
 
     def __post_init__(self) -> None:
         object.__setattr__(self, "lamps", tuple(self.lamps))
         object.__setattr__(self, "meshes", as_triangles(self.meshes))
         object.__setattr__(self, "levels", tuple(self.levels) or tuple(range(len(self.lamps))))
+
+    def exposed(self, moments: Sequence[SceneLight], curve: Sequence[float] = (1.0,)) -> SceneLight:
+        """This light while a shutter is open: lamps and meshes that move blur the shadows.
+
+        moments  itself at times evenly spread over the exposure.  What is not the same there stands still: other lamps, other triangles
+        curve    how far the shutter is open, likewise
+        """
+        if len(moments) < 2:
+            return self
+        meshes, lamps = tuple(each.meshes for each in moments if each.meshes is not None), []
+        same = self.meshes is not None and all(each.shape == self.meshes.shape for each in meshes) and len(meshes) == len(moments)
+        meshes = meshes if same and not all(np.array_equal(each, meshes[0]) for each in meshes) else ()
+        for number, lamp in enumerate(self.lamps):
+            there = [each.lamps[number] for each in moments if len(each.lamps) == len(self.lamps)]
+            alike = [each for each in there if each.name == lamp.name and each.colour.shape == lamp.colour.shape]
+            there = alike if len(alike) == len(moments) else [lamp] * len(moments)
+            moves = meshes or not all(each.like(there[0]) for each in there)
+            lamps.append(lamp.exposed(there, curve) if moves else lamp)
+        return replace(self, lamps=tuple(lamps), moments=meshes)
 
     def lit(self, instances: Sequence[Instance], camera: Camera, backend: Any,
             progress: Callable[[float], None] = lambda share: None, passes: bool = False, still: bool = False) -> list[Instance]:
@@ -103,7 +124,7 @@ class SceneLight:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
         total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
-        scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1)
+        scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1, self.moments)
         for number, lamp in enumerate(self.lamps):
             count, among, ways = len(lamp.light.points), spots.lit_by(lamp.name), scene.of_lamp(lamp.name, self.clear.get(lamp.name))
             shares = np.stack([lamp.share(k, spots.position, spots.normal) * among for k in range(count)]) / count

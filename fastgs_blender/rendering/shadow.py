@@ -27,12 +27,14 @@ class Light:
 
     points    [L, 3] in the world; of a sun unit vectors towards it
     parallel  whether it is a sun, whose rays are parallel from each of its points
+    times     [L] when each of its points shines, from 0, where a shutter opens, to 1, where it closes; None: always
 
     Raises FastGSError for a light without points.
     """
 
     points: np.ndarray
     parallel: bool = False
+    times: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         points = np.asarray(self.points, np.float64)

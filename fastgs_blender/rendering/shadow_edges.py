@@ -287,7 +287,7 @@ def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.
 def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
     """By lamp, which share of its light comes past the meshes to pixels, as places [S, 3, P] with normals [3, P], and of how many points of
     the lamp, as if each were as bright: [P, L] each."""
-    scene, middle = Ways(backend, [], light.meshes), places.mean(0)
+    scene, middle = Ways(backend, [], light.meshes, moments=light.moments), places.mean(0)
     free, left, squares = np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))

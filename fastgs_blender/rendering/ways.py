@@ -17,6 +17,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
+from .holdout import between
 from .instances import Instance
 from .passing import BEHIND
 
@@ -44,10 +45,12 @@ class Ways:
     instances  whose splats throw shadows
     meshes     triangles [F, 3, 3] float32 in the world that throw shadows, or None
     once       whether they are looked at only once
+    moments    the meshes at times evenly spread over an exposure; empty: they stand still
     """
 
-    def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None, once: bool = False):
-        self.backend, self.meshes = backend, meshes
+    def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None, once: bool = False,
+                 moments: Sequence[np.ndarray] = ()):
+        self.backend, self.meshes, self.moments = backend, meshes, moments
         self.instances = [_plain(each) if once else _bare(each, backend) for each in instances if len(each.model)]
 
     def of_lamp(self, name: str, clear: np.ndarray | None = None) -> Ways:
@@ -55,8 +58,10 @@ class Ways:
         opaque = [each for each in self.instances if name not in each.settings.clear_to]
         if clear is None and len(opaque) == len(self.instances):
             return self
-        made = Ways(self.backend, [], self.meshes if clear is None or self.meshes is None else self.meshes[~clear])
+        made = Ways(self.backend, [], self.meshes, moments=self.moments)
         made.instances = opaque
+        if clear is not None and self.meshes is not None:
+            made.meshes, made.moments = self.meshes[~clear], [each[~clear] for each in self.moments]
         return made
 
     def sides(self, light: Any, points: np.ndarray) -> list[Side]:
@@ -91,8 +96,9 @@ class Ways:
         eye = view_from(light.parallel, light.points[number], places.transpose(1, 0, 2).reshape(3, -1), self._around, size)
         if eye is None:
             return meshes, splats
-        if self.meshes is not None and len(self.meshes):
-            found = self.backend.past_triangles(self.meshes, eye, points, np.full(len(points), float(over_meshes)))
+        triangles = self._triangles(0.0 if light.times is None else light.times[number])
+        if triangles is not None and len(triangles):
+            found = self.backend.past_triangles(triangles, eye, points, np.full(len(points), float(over_meshes)))
             meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
         if viewed:
@@ -100,13 +106,20 @@ class Ways:
             splats = self.backend.numpy(self.backend.past_splats(viewed, eye, points[:count], over))
         return meshes, splats
 
+    def _triangles(self, time: float) -> np.ndarray | None:
+        """The triangles [F, 3, 3] at a time of the exposure, from 0 to 1."""
+        if not self.moments:
+            return self.meshes
+        at = time * (len(self.moments) - 1)
+        first = min(int(at), len(self.moments) - 2)
+        return between(self.moments[first], self.moments[first + 1], at - first)
+
     @cached_property
     def _around(self) -> np.ndarray:
         """Points [Q, 3] around all that may throw shadows."""
-        found = [_corners(self.instances)]
-        if self.meshes is not None and len(self.meshes):
-            found.append(_bounds(self.meshes.reshape(-1, 3).T)[_CHOICES, np.arange(3)])
-        return np.concatenate(found)
+        meshes = [each for each in self.moments or (self.meshes,) if each is not None and len(each)]
+        boxes = [_bounds(each.reshape(-1, 3).T)[_CHOICES, np.arange(3)] for each in meshes]
+        return np.concatenate([_corners(self.instances), *boxes])
 
     @cached_property
     def _balls(self) -> list[tuple[np.ndarray, np.ndarray]]:
