@@ -75,7 +75,7 @@ class User:
         self.blender("--command", "extension", "repo-add", "--url", f"file:///mnt/{folder.name}/index.json", "--name", "Ours", "ours")
         return self.blender("--online-mode", "--command", "extension", "install", "--sync", "-e", "ours.fastgs_blender")
 
-    def story(self, name: str, *arguments, window=False, screen="1280x800", limit=2 * GUARD, complaints=(), **facts):
+    def story(self, name: str, *arguments, window=False, screen="1280x800", limit=1.5 * GUARD, complaints=(), **facts):
         """Run a story of the modules beside this file (see inside.py).
 
         arguments   further ones for Blender, such as a .blend file

@@ -11,7 +11,7 @@ MEMORIES = ("objects._entries", "objects._loading", "spaces.views", "frusta._tex
 
 def test_monkey(user, model, small_model, pytestconfig):
     actions = pytestconfig.getoption("--monkey-actions")
-    facts = user.story("monkey.run", window=True, limit=2400 + 30 * actions, actions=actions, seed=pytestconfig.getoption("--monkey-seed"),
+    facts = user.story("monkey.run", window=True, limit=900 + 15 * actions, actions=actions, seed=pytestconfig.getoption("--monkey-seed"),
                        laps=12, models=[model[1], small_model[1]], files=["monkey-1.blend", "monkey-2.blend"])
     print(facts)
     assert all(facts["done"].values())

@@ -15,7 +15,7 @@ GPU, STEPS = "llvmpipe", 150
 
 @pytest.fixture(scope="module")
 def story(user):
-    return user.story("on_gpu.from_scene_to_shot", gpu=GPU, steps=STEPS, limit=2400)
+    return user.story("on_gpu.from_scene_to_shot", gpu=GPU, steps=STEPS)
 
 
 def test_capture_train_and_f12_work_from_the_zip_alone(story):

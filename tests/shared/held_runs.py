@@ -7,8 +7,9 @@ import time
 from collections.abc import Callable
 from pathlib import Path
 
-GUARD = 1800.0
-"""Seconds after which a test that waits gives up.  Only a guard against hanging: no test is right or wrong by it."""
+GUARD = 600.0
+"""Seconds after which a test that waits gives up.  Only a guard against hanging: no test is right or wrong by it.  What hangs is tried
+once more in what CI has left."""
 
 
 def until(done: Callable[[], object], guard: float = GUARD):

@@ -271,12 +271,13 @@ def run_pressed(press, scene, module, **settings):
 def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, module, toy, other_toy, scene, tmp_path, few, press):
     """Through the panel's operator and the queue.  What is there already is never taken for what was asked for."""
     plan = module("fastgs_blender.training.run.plan").read_plan
-    first, kinds = run_pressed(press, scene, module, capture=toy, out=tmp_path / "run")
+    first, kinds = run_pressed(press, scene, module, capture=toy, out=tmp_path / "run", scan=other_toy)
     assert kinds[0] in ('STARTING', 'PREPARING', 'TRAINING') and kinds[-1] == 'FINISHED'
+    assert plan(tmp_path / "run").source.scan == str(other_toy)
     shown, = (obj for obj in scene.objects if "fastgs_job" in obj)
     old = (tmp_path / "run" / "model.safetensors").read_bytes()
 
-    beside, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='NEW')
+    beside, kinds = run_pressed(press, scene, module, capture=other_toy, out=tmp_path / "run", existing='NEW', scan="")
     assert Path(beside.out).name == "run-2" and kinds[0] != 'FINISHED' and kinds[-1] == 'FINISHED'
     assert (tmp_path / "run" / "model.safetensors").read_bytes() == old
     assert len([obj for obj in scene.objects if "fastgs_job" in obj]) == 2
