@@ -175,22 +175,34 @@ class Picture:
         if depths is not None:
             table = resolve_table(self.camera, self.size, Group("linear"), np.eye(3), depths=depths)
             inputs |= {"t_resolve": upload(table), "t_own": self._targets[0][0]["t_own"]}
-        self._put = inputs
-        if self._before is None:
-            self._put_in(inputs)
-        else:
-            self._put_in(self._before | {"t_over": new}, 1 - share, share)
-            self._put_in(inputs | {"t_over": new}, share, 0.0)
+        self._put, before = inputs, self._before
+        if before is None or share <= 0:
+            self._put_in(before or inputs)
+            return
+        old, later = (before | {"t_over": new}, 1 - share), (inputs | {"t_over": before["t_shown"]}, share)
+        if "t_own" in before and "t_own" in inputs:
+            old[0]["t_other"], later[0]["t_other"] = inputs["t_own"], before["t_own"]
+            turns = [(*old, share), (*later, 1 - share, 1.0), (*old, 0.0), (*later, 0.0, 1.0)]
+        else:  # what may be hidden comes first
+            turns = [(*later, 1 - share), (*old, 0.0)] if "t_own" in inputs else [(*old, share), (*later, 0.0)]
+        for turn in turns:
+            self._put_in(*turn)
 
-    def _put_in(self, inputs, share=1.0, rest=0.0):
-        """Put a share of a finished picture into the active framebuffer, tested by its depth where it has one."""
-        deep, fading = "t_own" in inputs, "t_over" in inputs
-        shader, batch = shaders.show(deep, fading)
+    def _put_in(self, inputs, share=1.0, rest=0.0, newer=0.0):
+        """Put a share of a finished picture into the active framebuffer, tested by its depth where it has one.
+
+        rest   the share of another picture, t_over, that is put in afterwards; 0: it is there already
+        newer  with t_other, the depth of that one: 1 for the newer of both.  The farther one is put in first, pixel by pixel
+        """
+        deep, fading, ordered = (name in inputs for name in ("t_own", "t_over", "t_other"))
+        shader, batch = shaders.show(deep, fading, ordered)
         with shaders.drawing('ALPHA_PREMULT', 'LESS_EQUAL' if deep else 'NONE'):
             shader.bind()
             if fading:
                 shader.uniform_float("share", share)
                 shader.uniform_float("rest", rest)
+            if ordered:
+                shader.uniform_float("newer", newer)
             shaders.fill(shader, batch, inputs)
 
     def _finish(self, *options):

@@ -58,8 +58,9 @@ def resolve(features: bool, own: bool, sky: bool):
 
 
 @cache
-def show(deep: bool, fading: bool = False):
-    """(shader, batch) that puts a picture of its size into the active viewport; `deep`: with its depth; `fading`: a share of it."""
+def show(deep: bool, fading: bool = False, ordered: bool = False):
+    """(shader, batch) that puts a picture of its size into the active viewport; `deep`: with its depth; `fading`: a share of it;
+    `ordered`: where it lies behind another deep one, or where it does not."""
     info = _whole("fastgs_show_iface")
     names = ["t_shown"]
     if fading:
@@ -70,6 +71,10 @@ def show(deep: bool, fading: bool = False):
     if deep:
         _deep(info)
         names += ["t_resolve", "t_own"]
+    if ordered:
+        info.define("ORDERED")
+        info.push_constant('FLOAT', "newer")
+        names.append("t_other")
     _samplers(info, names)
     return _finish(info, gl.RESOLVE_VERTEX, gl.SHOW_FRAGMENT)
 

@@ -124,6 +124,12 @@ void main()
   if (own.a <= 0.0) { discard; }
   float z = own.y / own.a;
   gl_FragDepth = clamp(depths.x + (size.z > 0.5 ? depths.y * z : depths.y / z), 0.0, 1.0);
+#ifdef ORDERED
+  /* of two pictures the farther one comes first, pixel by pixel: where it is not hidden, the nearer one is not either */
+  vec4 other = texelFetch(t_other, ivec2(v_uv * vec2(textureSize(t_other, 0))), 0);
+  bool farther = other.a > 0.0 && (newer > 0.5 ? z * other.a > other.y : z * other.a >= other.y);
+  if (farther != rest > 0.0) { discard; }
+#endif
 #endif
   out_colour = shown;
 }
