@@ -93,7 +93,7 @@ def kept(path: Path, capture: Capture) -> dict | None:
 def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print,
                     progress: Callable[[int, int], None] = lambda done, of: None) -> dict:
     """See refinement(); raises FastGSError where pycolmap is missing, or pictures cannot be read."""
-    shots = by_view(capture.training)
+    shots = by_view(capture.films)
     if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
         return NOTHING
     first = {view: each[0] for view, each in shots.items()}
@@ -124,7 +124,7 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
     progress(done, of) is called for each picture and for each moment's matches.
     """
     by_frame: dict = {}
-    for shot in capture.training:
+    for shot in capture.films:
         by_frame.setdefault(shot.frame, []).append(shot)
     most = max(map(len, by_frame.values()))
     frames = [frame for frame, shots in sorted(by_frame.items()) if len(shots) == most]

@@ -7,6 +7,7 @@ that place agree, the photograph does not count; elsewhere it does, so that noth
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import lru_cache
 from typing import Any
 
@@ -16,6 +17,7 @@ from ...cameras.camera import Camera
 from ...captures.capture import Capture, Shot, by_view
 from ..core.moving_pixels import MovingPixels, stands
 from ..core.targets import smaller
+from .dense import depth_range
 from .geometry import project, sample, visible
 
 CELLS = 72
@@ -51,11 +53,11 @@ class VisualHull:
         self._shots: dict[int, list[Shot]] = {}
         for shot in (shot for shots in chosen for shot in shots):
             self._shots.setdefault(shot.frame, []).append(shot)
-        centres = capture.centres(capture.films)
-        half = float(np.linalg.norm(centres - capture.focus, axis=1).max(initial=0))
+        films = replace(capture, shots=capture.films)
+        half = max(float(np.linalg.norm(films.centres() - films.focus, axis=1).max(initial=0)), depth_range(films)[1] / 4)
         ticks = np.linspace(-half, half, CELLS)
         self._cell = 2 * half / (CELLS - 1)
-        self._grid = capture.focus + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
+        self._grid = films.focus + np.stack(np.meshgrid(ticks, ticks, ticks, indexing="ij"), -1).reshape(-1, 3)
         self._places = {shots[0].view: _seen(shots[0].camera, self._grid) for shots in chosen if shots[0].camera is not None}
         self.cells = lru_cache(maxsize=None)(self._cells)
 
