@@ -193,13 +193,13 @@ class _Spots:
 
     @cached_property
     def _squares(self) -> np.ndarray:
-        return np.maximum((self.axes * self.axes).sum(0), 1e-30)
+        return np.maximum(np.einsum("ikp,ikp->kp", self.axes, self.axes), 1e-30)
 
     @cached_property
     def _inverse(self) -> np.ndarray:
-        """Of each, the inverse of the covariance: [6, P] xx, yy, zz and twice xy, xz, yz."""
+        """Of each, the inverse of the covariance: [6, P] xx, yy, zz, xy, xz, yz."""
         x, y, z = self.axes / self._squares
-        return np.stack([sum(a * b) for a, b in ((x, x), (y, y), (z, z), (2 * x, y), (2 * x, z), (2 * y, z))])
+        return np.stack([np.einsum("kp,kp->p", a, b) for a, b in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))])
 
     @cached_property
     def _wide(self) -> np.ndarray:
@@ -210,7 +210,7 @@ class _Spots:
         """The standard deviation [P] of the spots along lines through their middles with directions [3, P], or one [3, 1]."""
         x, y, z = towards
         xx, yy, zz, xy, xz, yz = self._inverse
-        along = x * (xx * x + xy * y + xz * z) + y * (yy * y + yz * z) + zz * (z * z)
+        along = x * (xx * x + 2 * (xy * y + xz * z)) + y * (yy * y + 2 * yz * z) + zz * (z * z)
         return np.sqrt((x * x + y * y + z * z) / np.maximum(along, 1e-30))
 
     def spread(self, number: int, share: float) -> np.ndarray:
