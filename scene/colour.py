@@ -13,11 +13,29 @@ from ..fastgs_blender.util.threads import ranges, run
 ROWS = 32
 """Of a picture that are put over a background at once: what stays in the processor's cache."""
 
+LOBES = ((0, 1.056, 599.8, 37.9, 31.0), (0, 0.362, 442.0, 16.0, 26.7), (0, -0.065, 501.1, 20.4, 26.2), (1, 0.821, 568.8, 46.9, 40.5),
+         (1, 0.286, 530.9, 16.3, 31.1), (2, 1.217, 437.0, 11.8, 36.0), (2, 0.681, 459.0, 26.0, 13.8))
+"""What the eye's curves x, y, z are made of: which one, height, and in nm middle and spread to the left and right."""
+
 
 def rec709_to_working() -> np.ndarray:
     """[3, 3] float32 from linear Rec.709 to the scene-linear space of the open file and its OpenColorIO configuration."""
     columns = [Color(axis).from_rec709_linear_to_scene_linear() for axis in ((1, 0, 0), (0, 1, 0), (0, 0, 1))]
     return np.array(columns, np.float32).T
+
+
+def blackbody(kelvin: float) -> np.ndarray:
+    """Scene-linear colour [3] of a body that glows, of the luminance 1, within 3 % of Cycles' from 2000 K on.
+
+    Planck's law, seen with the curves of Wyman et al., Simple Analytic Approximations to the CIE XYZ Color Matching Functions (2013).
+    """
+    nm = np.arange(360.0, 831.0)
+    light = nm**-5 / np.expm1(1.4387769e7 / (nm * np.clip(kelvin, 800, 12_000)))
+    curves = np.zeros((3, len(nm)))
+    for row, height, middle, left, right in LOBES:
+        curves[row] += height * np.exp(-0.5 * ((nm - middle) / np.where(nm < middle, left, right)) ** 2)
+    xyz = curves @ light
+    return np.maximum(Color(xyz / xyz[1]).from_xyz_d65_to_scene_linear(), 0)
 
 
 def scene_linear(rgb: np.ndarray, weight: np.ndarray, display_referred: bool, working: np.ndarray) -> np.ndarray:

@@ -3,6 +3,7 @@
 import bpy
 
 from . import light_probe
+from .colour import blackbody
 
 BLACK = (0.0, 0.0, 0.0)
 
@@ -37,7 +38,7 @@ def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.Wo
 
 
 def emission(data) -> tuple[float, float, float]:
-    """The factor [3] that the nodes of a light make of its colour: plain colours and strengths count."""
+    """The factor [3] that the nodes of a light make of its colour: plain colours, temperatures and strengths count."""
     used = data.node_tree and (bpy.app.version >= (5, 2, 0) or data.use_nodes)  # later lights always use their nodes
     output = data.node_tree.get_output_node('ALL') if used else None
     link = _source(output.inputs["Surface"]) if output else None
@@ -64,4 +65,6 @@ def _value(socket):
         return socket.default_value, True
     if link.from_node.bl_idname in ('ShaderNodeRGB', 'ShaderNodeValue'):
         return link.from_socket.default_value, True
+    if link.from_node.bl_idname == 'ShaderNodeBlackbody':
+        return blackbody(_value(link.from_node.inputs["Temperature"])[0]), False  # near enough to light with, not to be looked at
     return socket.default_value, False

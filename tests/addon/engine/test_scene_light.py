@@ -253,6 +253,26 @@ def test_settings_of_lamps_count_as_in_cycles(scene, shot, lamp):
     assert psnr(ours, cycles()) > 30
 
 
+def test_a_lamp_has_the_temperature_of_its_nodes(scene, lamp, module):
+    """As the temperature of the lamp itself; times the strength."""
+    data = lamp('POINT', energy=60).data
+    if bpy.app.version < (5, 2, 0):
+        data.use_nodes = True
+    tree = data.node_tree
+    shader, body = next(node for node in tree.nodes if node.bl_idname == 'ShaderNodeEmission'), tree.nodes.new('ShaderNodeBlackbody')
+    tree.links.new(body.outputs[0], shader.inputs["Color"])
+    shader.inputs["Strength"].default_value = 2.0
+    known = {800.0: (5.41, 0, 0), 12_000.0: (0.826, 0.995, 1.566), 40_000.0: (0.826, 0.995, 1.566)}  # Cycles' limits
+    for kelvin in (2000.0, 3000.0, 6500.0):
+        if hasattr(data, "temperature_color"):
+            data.use_temperature, data.temperature = True, kelvin
+            known[kelvin] = tuple(data.temperature_color)
+    for kelvin, wanted in known.items():
+        body.inputs[0].default_value = kelvin
+        found = module("scene.world").emission(data)
+        assert np.allclose(found, 2 * np.array(wanted), rtol=0.03 if kelvin > 800 else 0.12, atol=0.02), kelvin
+
+
 @pytest.mark.slow
 def test_a_world_lights_as_it_lights_meshes_and_not_as_the_camera_sees_it(scene, screen, sky, add_camera, render):
     """Light Path nodes tell the two apart, as where a picture lights and a colour is behind; Ray Visibility switches the light off."""
