@@ -1,25 +1,28 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Memory of a process that renders an animation in Blender: it should stay flat, and the model should be read once.
 
-    python benchmarks/memory.py [--frames 500] [--gaussians 20000]
+    python benchmarks/memory.py [--frames 500] [--gaussians 20000] [--size 320x180]
 
-Prints the resident memory every fifty frames and the largest of all, as shares of the fiftieth, and what the process has asked the
-allocator for and not given back.  The difference is glibc's, which keeps freed memory for a while, apart for each thread: the resident
-memory rises by some 22 MiB for a frame or more when another one of Blender's threads evaluates the points that stand for the Gaussians in
-other engines.  It does so in a render that draws nothing, too, and not without the object.  Needs Linux and the bpy module.
+Prints the median of the frames' processor time, files and all; the resident memory every fifty frames and the largest of all, as shares
+of the fiftieth; and what the process has asked the allocator for and not given back.  The difference is glibc's, which keeps freed memory
+for a while, apart for each thread: the resident memory rises by some 22 MiB for a frame or more when another one of Blender's threads
+evaluates the points that stand for the Gaussians in other engines.  It does so in a render that draws nothing, too, and not without the
+object.  Needs Linux and the bpy module.
 """
 from __future__ import annotations
 
 import argparse
 import os
+import statistics
 import subprocess
 import sys
 import tempfile
+from itertools import pairwise
 from pathlib import Path
 
 ROOT = Path(__file__).resolve().parents[1]
 SCENE = """
-import ctypes, resource, sys, bpy, addon_utils
+import ctypes, resource, sys, time, bpy, addon_utils
 assert addon_utils.enable("bl_ext.user_default.fastgs_blender")
 from bl_ext.user_default.fastgs_blender import fastgs_blender as fg
 from bl_ext.user_default.fastgs_blender.fastgs_blender.commands.bench import synthetic
@@ -32,7 +35,7 @@ camera = bpy.data.objects.new("Camera", bpy.data.cameras.new("Camera"))
 camera.location, camera.rotation_euler = (0, -4, 0), (1.5708, 0, 0)
 scene.collection.objects.link(camera)
 scene.camera = camera
-scene.render.resolution_x, scene.render.resolution_y = 320, 180
+scene.render.resolution_x, scene.render.resolution_y = int(sys.argv[4]), int(sys.argv[5])
 scene.frame_start, scene.frame_end = 1, frames
 scene.render.filepath = folder + "/frames/"
 
@@ -45,7 +48,8 @@ heap.restype = Heap
 def tell(*_):
     now = heap()
     with open("/proc/self/statm") as file:
-        print("memory", scene.frame_current, int(file.read().split()[1]) * resource.getpagesize(), now.used + now.mapped, flush=True)
+        print("memory", scene.frame_current, int(file.read().split()[1]) * resource.getpagesize(), now.used + now.mapped,
+              time.process_time(), flush=True)
 
 bpy.app.handlers.render_write.append(tell)
 bpy.ops.render.render(animation=True)
@@ -56,16 +60,19 @@ def main():
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--frames", type=int, default=500)
     parser.add_argument("--gaussians", type=int, default=20_000)
+    parser.add_argument("--size", default="320x180")
     args = parser.parse_args()
     with tempfile.TemporaryDirectory() as folder:
         link = Path(folder, "user", "extensions", "user_default", "fastgs_blender")
         link.parent.mkdir(parents=True)
         link.symlink_to(ROOT, target_is_directory=True)
         environment = os.environ | {"BLENDER_USER_RESOURCES": str(Path(folder, "user"))}
-        text = subprocess.run([sys.executable, "-c", SCENE, folder, str(args.frames), str(args.gaussians)], env=environment, check=True,
-                              text=True, stdout=subprocess.PIPE).stdout
-    sizes = {int(n): (int(resident), int(used)) for _, n, resident, used in (
-        line.split() for line in text.splitlines() if line.startswith("memory "))}
+        text = subprocess.run([sys.executable, "-c", SCENE, folder, str(args.frames), str(args.gaussians), *args.size.split("x")],
+                              env=environment, check=True, text=True, stdout=subprocess.PIPE).stdout
+    told = [line.split()[1:] for line in text.splitlines() if line.startswith("memory ")]
+    times = [float(after[3]) - float(before[3]) for before, after in pairwise(told)]
+    print(f"a frame      {1e3 * statistics.median(times):.0f} ms of processor time")
+    sizes = {int(n): (int(resident), int(used)) for n, resident, used, _ in told}
 
     def tell(what, number):
         print(f"{what:12}" + "".join(f"   {name} {size / 2**20:7.1f} MiB, {size / first:.4f} of frame 50"
