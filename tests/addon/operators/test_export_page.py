@@ -145,7 +145,7 @@ def test_a_long_clip_is_written_piece_by_piece(scene, fg, module, pictures, movi
         obj.keyframe_insert("location", index=0, frame=frame)
     obj.fastgs.exposure, obj.fastgs.after, obj.fastgs.trim_start = 1, 'LOOP', 2.0
     clip = module("scene.objects").load_model(str(tmp_path / "long.safetensors"))
-    monkeypatch.setattr(type(clip), "whole", None)
+    monkeypatch.setattr(type(clip), "joined", None)
     description, files, _ = export()
     first, *others = description["objects"]
     assert [each["count"] for each in description["objects"]] == [piece.size for piece in clip.pieces] and len(files) == len(clip.pieces)
