@@ -62,7 +62,7 @@ def from_scene_to_shot(gpu, steps):
     capture, run = os.path.abspath("gpu-capture"), os.path.abspath("gpu-run")
     filmed = bpy.ops.fastgs.capture_scene(out=capture, count=8, samples=4, width=160, height=120, frame_step=2)
     trained = bpy.ops.fastgs.train(source='FOLDER', capture=capture, out=run, preset='DRAFT', iterations=steps, max_gaussians=2000)
-    job, state = part("scene.training.watch").look()[-1]
+    job, state = part("scene.training.watch").refresh()[-1]
     bpy.ops.fastgs.train_forget(job=job.id)  # other stories share the list of runs, and take what they find there for their own
     originals = [obj for obj in scene.objects if "fastgs_job" not in obj]
     model = next(obj for obj in scene.objects if "fastgs_job" in obj)

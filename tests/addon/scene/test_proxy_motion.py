@@ -96,7 +96,7 @@ def test_our_own_final_renders_move_no_points(scene, module, moving, reader, add
 
     def look(_, depsgraph):
         if depsgraph.mode == 'RENDER':
-            found.extend(module("scene.splats.moving").MOVED in each.data for each in depsgraph.objects if each.type == 'MESH')
+            found.extend(module("scene.splats.proxy_motion").MOVED in each.data for each in depsgraph.objects if each.type == 'MESH')
 
     bpy.app.handlers.frame_change_post.append(look)
     try:
