@@ -43,10 +43,11 @@ def by_channel(work: Callable[[np.ndarray, np.ndarray], np.ndarray], rgb: np.nda
     NumPy takes several times as long for rows of three numbers, and for what does not stay in the processor's cache.
     """
     out = np.empty_like(rgb)
-    rows = max(1, PIXELS // max(alpha[:1].size, 1))
+    rows, told = max(1, PIXELS // max(alpha[:1].size, 1)), np.geterr()
 
     def piece(channel: int, first: int, last: int) -> None:
-        out[first:last, ..., channel] = work(rgb[first:last, ..., channel], alpha[first:last])
+        with np.errstate(**told):  # NumPy keeps it for each thread
+            out[first:last, ..., channel] = work(rgb[first:last, ..., channel], alpha[first:last])
 
     run(piece, [(channel, *rows) for rows in ranges(len(rgb), rows) for channel in range(rgb.shape[-1])])
     return out

@@ -116,11 +116,15 @@ class Default(Strategy):
         statistics.take(rows)
 
     def _distance(self, optimiser: Rows) -> np.ndarray:
-        """Distance to the nearest camera [N].  Large Gaussians close to a camera are fog, which opposite cameras see as sky."""
+        """Distance to the nearest camera [N] that draws it.  Large Gaussians close to a camera are fog, which opposite cameras see as sky.
+
+        A camera does not draw what its near plane cuts off, such as its own housing in a wall, which others see.
+        """
         position = optimiser.arrays["position"].astype(np.float64)
         nearest = np.full(len(position), np.inf)
         for centre in self.centres:
-            nearest = np.minimum(nearest, np.linalg.norm(position - centre, axis=1))
+            distance = np.linalg.norm(position - centre, axis=1)
+            nearest = np.where(distance > self.template.raster.near, np.minimum(nearest, distance), nearest)
         return nearest
 
     def _grow(self, iteration: int, optimiser: Rows, statistics: Statistics) -> None:

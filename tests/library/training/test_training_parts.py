@@ -153,7 +153,7 @@ def test_the_first_model_shows_the_points(rng, appearance):
 
 
 def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():
-    shots = [SimpleNamespace(frame=f) for f in range(7) for _ in range(5)]
+    shots = [SimpleNamespace(frame=f, place=False) for f in range(7) for _ in range(5)]
     views = schedule.Views(shots, 3)
     seen = np.zeros(len(shots), int)
     for i in range(35):
@@ -166,13 +166,13 @@ def test_every_shot_is_seen_equally_often_and_a_step_shows_one_moment():
 
 
 def test_a_single_moving_camera_helps_out_from_other_moments():
-    views = schedule.Views([SimpleNamespace(frame=f) for f in range(6)], 0)
+    views = schedule.Views([SimpleNamespace(frame=f, place=False) for f in range(6)], 0)
     seen = np.bincount(np.concatenate([views.at(i, 3) for i in range(4)]), minlength=6)
     assert (seen == 2).all()
 
 
 def test_more_views_than_the_capture_has():
-    assert len(schedule.Views([SimpleNamespace(frame=0)] * 3, 0).at(4, 8)) == 8
+    assert len(schedule.Views([SimpleNamespace(frame=0, place=False)] * 3, 0).at(4, 8)) == 8
 
 
 @pytest.mark.parametrize("has_alpha", [False, True])
@@ -181,7 +181,7 @@ def test_mask_files_weigh_and_alpha_cuts(rng, has_alpha):
     rgb, subject, alpha = rng.uniform(size=(4, 6, 3)).astype(np.float32), np.eye(4, 6, dtype=np.float32), np.tri(4, 6, dtype=np.float32)
     pixels = Pixels(rgb, subject * alpha, alpha=alpha) if has_alpha else Pixels(rgb, subject)
     capture = SimpleNamespace(mask_means="foreground")
-    shot = SimpleNamespace(mask="file", camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
+    shot = SimpleNamespace(mask="file", place=False, camera=fg.Camera(6, 4, 5.0, 5.0, 3.0, 2.0, np.eye(4)), t=0.0)
     found = targets.target(capture, pixels, shot, options.settings(background="white"), 1)
     np.testing.assert_allclose(found.weight, 1 + pixels.mask)
     np.testing.assert_allclose(found.rgb, rgb * alpha[..., None] + 1 - alpha[..., None] if has_alpha else rgb, atol=1e-6)
@@ -199,7 +199,7 @@ def test_what_moves_weighs_more(why, rng):
     for k in range(count):
         pose = np.eye(4)
         pose[0, 3] = 0.1 * k * (why == "the camera moves")
-        shots.append(SimpleNamespace(view="a", mask="file" if why == "there are masks" else None, t=k / 8, number=k,
+        shots.append(SimpleNamespace(view="a", place=False, mask="file" if why == "there are masks" else None, t=k / 8, number=k,
                                      camera=fg.Camera(32, 24, 20.0, 20.0, 16.0, 12.0, pose)))
     store = SimpleNamespace(pixels=lambda shot: Pixels(films[shot.number].astype(np.float32)))
     chosen = options.settings(moving_weight=3.0)
@@ -288,10 +288,10 @@ class Gradients:
             setattr(self, name, getattr(self, name)[index])
 
 
-def strategy(name, model, **choices):
+def strategy(name, model, centres=None, **choices):
     chosen = options.settings(density=name, iterations=1000, densify_every=100, densify_from=0.0, densify_until=1.0,
                               densify_share=0.5, **choices)
-    return density.STRATEGIES[name](chosen, 1.0, model)
+    return density.STRATEGIES[name](chosen, 1.0, model, centres)
 
 
 @pytest.mark.parametrize("name", density.STRATEGIES)
@@ -320,6 +320,16 @@ def test_splitting_keeps_what_is_there_and_cloning_copies(rng, make_model):
     large = np.flatnonzero(old["scale"][:, 0] != model.scale[:, 0])
     assert (large >= 20).all() and len(large)
     np.testing.assert_allclose(old["scale"][large], model.scale[large] - np.log(1.6), atol=1e-6)
+
+
+def test_fog_before_a_camera_goes_and_what_it_does_not_draw_stays(rng, make_model):
+    """A camera in a wall does not draw its own housing, which is before its near plane and which others see."""
+    model = make_model(rng, 30)
+    model.opacity[:], model.scale[:] = 3, np.log(0.15)
+    model.position[:] = np.repeat([0.5, 1.5, 10], 10)[:, None] * model.raster.near * np.array([0, 0, 1])
+    rows = Rows(model)
+    strategy("default", model, np.zeros((1, 3))).after_step(100, rows, Gradients(30, calm=30), {})
+    np.testing.assert_allclose(np.unique(rows.arrays["position"][:, 2]), np.array([0.5, 10]) * model.raster.near, rtol=1e-6)
 
 
 def test_faint_gaussians_go(rng, make_model):
