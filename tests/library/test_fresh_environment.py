@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Every command of the README and of docs/ in a fresh environment: this project as pip installs it, what it says it needs, nothing else.
 
-They run as they are written, page by page in a folder of its own that holds the examples and a capture `my-capture`; training takes few
-steps.
+They run as they are written, page by page in a folder of its own that holds the examples and the captures
+`my-capture` and `my-photographs`; training takes few steps.
 """
 from __future__ import annotations
 
@@ -85,7 +85,8 @@ def test_the_pages_commands_run(fresh, tmp_path):
     for page in (page for page in PAGES if lines(page)):
         folder = tmp_path / page.stem
         shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.py"))
-        shutil.copytree(capture, folder / "my-capture")
+        for name in ("my-capture", "my-photographs"):
+            shutil.copytree(capture, folder / name)
         commands = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in lines(page)]
         work.append([str(folder), [[*words, *(FEW if words[0] == "train" and "--resume" not in words else [])] for words in commands]])
     known = {words[0] for _, commands in work for words in commands}
