@@ -93,7 +93,7 @@ def main() -> int:
         print(f"No zip for the Blenders here: {reason}", file=sys.stderr)
         return int(not lenient)
     print(f"{len(found)} Blenders and their zips were ready after {time.monotonic() - start:.0f} s.", flush=True)
-    signal.signal(signal.SIGTERM, lambda *_: sys.exit(1))  # who waits no longer still sees how far the tests came
+    signal.signal(signal.SIGTERM, ask_to_end)  # who waits no longer still sees how far the tests came
     tests = {suite: ring(suite, folder, {**os.environ, **made[python_of(folder)]}) for suite, folder in found.items()}
     try:
         for process in tests.values():
@@ -109,6 +109,12 @@ def main() -> int:
     if failed:
         FAILED.write_text(" ".join(failed) + "\n")
     return int(bool(failed))
+
+
+def ask_to_end(*_: object) -> None:
+    """End this process, once: timeout and make both say so."""
+    signal.signal(signal.SIGTERM, signal.SIG_IGN)
+    sys.exit(1)
 
 
 def report(suite: str) -> Path:
