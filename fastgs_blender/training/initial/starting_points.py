@@ -46,13 +46,13 @@ def initial_points(capture: Capture, store: Any, settings: Settings, say: Callab
         say(f"no starting points from this source: {reason}")
     found = len(points)
     points = thinned(points, settings.init_points, settings.seed)
+    timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
+    kept = f", {len(points)} kept" if len(points) < found else ""
+    say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")
     if capture.films and capture.scan:
         place, _ = initial_points(replace(capture, shots=capture.scan), store, settings, say)
         times = np.full(len(points), np.nan, np.float32) if points.t is None else points.t
         points = joined([Points(place.xyz, place.rgb, np.full(len(place), np.nan, np.float32)), replace(points, t=times)])
-    timed = 0 if points.t is None else int(np.isfinite(points.t).sum())
-    kept = f", {len(points)} kept" if len(points) < found else ""
-    say(f"starting points: {found} ({how}){kept}; {timed} of them belong to a moment, {len(points) - timed} to all times")
     return points, seen
 
 

@@ -118,6 +118,14 @@ def test_hidden_pixels_have_no_weight():
     np.testing.assert_array_equal(goal.weight, np.repeat(np.float32([0, 1]), 9)[:, None] * np.ones((1, 24), np.float32))
 
 
+def test_who_is_in_a_photograph_is_left_out_by_its_mask():
+    scan, store = photographs()
+    shot = replace(with_scan(films()[0], scan).scan[0], mask="file")
+    pixels = replace(store.pixels(scan.shots[1]), mask=np.repeat(np.float32([1, 0.25]), 18)[:, None] * np.ones((1, 48), np.float32))
+    goal = target(films()[0], pixels, shot, Settings(), 1, 0)
+    np.testing.assert_array_equal(goal.weight, 1 - pixels.mask)
+
+
 @pytest.mark.slow
 def test_a_scan_makes_few_cameras_much_better(tmp_path):
     """Three cameras, of which the middle one is not trained on; eight photographs of the empty place."""
