@@ -296,8 +296,8 @@ class TrainingBackend(PictureBackend, Protocol):
 
     def sweep(self, image: np.ndarray, others: list[tuple[np.ndarray, np.ndarray, np.ndarray]], planes: np.ndarray, outside: float,
               reach: int) -> np.ndarray:
-        """Plane sweep: mean absolute differences of colour [D, h, w] between image [h, w, 3] and the better half of the other pictures,
-        were its surface on each of the planes [D, 3]; averaged over (2 reach + 1)^2 pixels.
+        """Plane sweep: mean absolute differences of colour [D, h, w] between image [h, w, 3] and the better half of the other pictures
+        that show it, were its surface on each of the planes [D, 3]; averaged over (2 reach + 1)^2 pixels.
 
         planes   the pixel (u, v) has the inverse depth plane @ (u, v, 1): (0, 0, 1 / z) faces the camera at the depth z
         others   (picture [h', w', 3], turn [3, 3], shift [3]): the pixel (u, v) at depth z is seen by the other camera at

@@ -40,7 +40,8 @@ def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: 
     for cost, (other, *between) in zip(costs, others):
         differences(image, other, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
         averaged(cost, reach, np.empty((h, w), np.float32))
-    return better_half(costs.reshape(len(others), -1), np.empty(costs[0].size, np.float32)).reshape(costs.shape[1:])
+    out = np.empty(costs[0].size, np.float32)
+    return better_half(costs.reshape(len(others), -1), np.float32(outside / 2), out).reshape(costs.shape[1:])
 
 
 @kernel
@@ -99,19 +100,23 @@ def averaged(cost, reach, row):
 
 
 @kernel
-def better_half(costs, out):
-    """The means [P] of the lower half of costs [O, P], the middle one included."""
+def better_half(costs, outside, out):
+    """The means [P] of the lower half of the costs [O, P] below `outside`, the middle one included; of two at least, if there are three."""
     number = len(costs)
-    half = (number + 1) // 2
+    least = min((number + 1) // 2, 2)
     lowest = np.empty(number, np.float32)
     for p in range(len(out)):
+        inside = 0
         for k in range(number):
             value = costs[k, p]
+            if value < outside:
+                inside += 1
             at = k
             while at and lowest[at - 1] > value:
                 lowest[at] = lowest[at - 1]
                 at -= 1
             lowest[at] = value
+        half = max((inside + 1) // 2, least)
         total = float32(0)
         for k in range(half):
             total += lowest[k]

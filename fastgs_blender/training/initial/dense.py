@@ -75,16 +75,17 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
         depths.append(sweep.swept(shown, near, far))
         tick()
     witnesses = 2 if few else 3
-    known = [xyz for k in spread(range(len(moments)), FEATURE_MOMENTS) for xyz, _ in sweep.surfaces(pictures[k], depths[k], witnesses)]
-    large = planes.large(np.concatenate(known), settings.seed)
+    standing = None
+    if not few and stand_still(moments):
+        standing, large = still.standing(([picture(capture, store, settings, shot, still.SIDE) for shot in its] for its in zip(*moments)),
+                                         near, far, settings.seed)
+    else:
+        known = [xyz for k in spread(range(len(moments)), FEATURE_MOMENTS) for xyz, _ in sweep.surfaces(pictures[k], depths[k], witnesses)]
+        large = planes.large(np.concatenate(known), settings.seed)
+    tick()
     for k, shown in enumerate(pictures):
         depths[k] = planes.laid(shown, depths[k], large, near, far)
         tick()
-    standing = None
-    if not few and stand_still(moments):
-        standing = still.standing(([picture(capture, store, settings, shot, still.SIDE) for shot in its] for its in zip(*moments)),
-                                  large, near, far)
-    tick()
     steady_ones, timed, swept = [], [], 0
     for k, shots in enumerate(moments):
         clouds = [Points(xyz, rgb, np.full(len(xyz), shots[0].t))

@@ -56,7 +56,7 @@ def large(xyz: np.ndarray, seed: int) -> np.ndarray:
 
 
 def laid(pictures: Sequence[tuple], depths: list[sweep.Depths | None], planes: np.ndarray, near: float,
-         far: float) -> list[sweep.Depths | None]:
+         far: float, neighbours: int = sweep.NEIGHBOURS) -> list[sweep.Depths | None]:
     """The depths of a moment's pictures, as sweep.swept() gives them, on the planes [P, 4] wherever pictures are clearly more alike so."""
     if not len(planes):
         return depths
@@ -76,4 +76,4 @@ def laid(pictures: Sequence[tuple], depths: list[sweep.Depths | None], planes: n
         on = (least < its.cost - BETTER) & (near < depth) & (depth < far)
         return sweep.Depths(np.where(on, depth, its.depth), np.where(on, least, its.cost), np.where(on, 1.0, its.range))
 
-    return sweep.for_each(pictures, near, far, one)
+    return sweep.for_each(pictures, near, far, one, neighbours)

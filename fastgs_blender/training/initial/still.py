@@ -12,8 +12,9 @@ import numpy as np
 from ...model.points import Points
 from . import planes, sweep
 
-SIDE, DEPTHS, WINDOW, ALIKE = 320, 144, 5, 0.15
-"""Pixels of a median along its longer side, and what differs from the sweep of a moment (sweep.py)."""
+SIDE, DEPTHS, WINDOW, ALIKE, NEIGHBOURS = 320, 144, 5, 0.15, 8
+"""Pixels of a median along its longer side, and what differs from the sweep of a moment (sweep.py).  The upper walls of a dome are seen at
+the rims of pictures, by few of those that look the same way: hence more neighbours."""
 AROUND = 9
 """Pixels to each side that are a colour's surroundings."""
 NOISE, MOST = 0.01, 2.0
@@ -22,10 +23,10 @@ MOVES, FEWEST = 0.06, 4
 """Difference of colour (0..1) from the median, above which a pixel moves; and pictures of which there is one."""
 
 
-def standing(cameras: Iterable[Sequence[tuple]], large: np.ndarray, near: float, far: float) -> Points:
-    """Points [P] on surfaces that stand still.
+def standing(cameras: Iterable[Sequence[tuple]], near: float, far: float, seed: int) -> tuple[Points, np.ndarray]:
+    """Points [P] on surfaces that stand still, and the large planes among these (planes.py).
 
-    cameras  of each, its pictures (rgb [h, w, 3], camera, inside or None) at several moments;  large: planes (planes.py)
+    cameras  of each, its pictures (rgb [h, w, 3], camera, inside or None) at several moments
     near, far  depths between which surfaces are
     """
     pictures = []
@@ -37,9 +38,11 @@ def standing(cameras: Iterable[Sequence[tuple]], large: np.ndarray, near: float,
             still &= inside > 0.5
         pictures.append((median, its[0][1], still.astype(np.float32)))
     compared = [(contrasts(median), *rest) for median, *rest in pictures]
-    depths = planes.laid(compared, sweep.swept(compared, near, far, DEPTHS, WINDOW), large, near, far)
+    depths = sweep.swept(compared, near, far, DEPTHS, WINDOW, NEIGHBOURS)
+    large = planes.large(np.concatenate([xyz for xyz, _ in sweep.surfaces(pictures, depths, alike=ALIKE)]), seed)
+    depths = planes.laid(compared, depths, large, near, far, NEIGHBOURS)
     xyz, rgb = (np.concatenate(part) for part in zip(*sweep.surfaces(pictures, depths, alike=ALIKE)))
-    return Points(xyz, rgb, np.full(len(xyz), np.nan))
+    return Points(xyz, rgb, np.full(len(xyz), np.nan)), large
 
 
 def contrasts(image: np.ndarray) -> np.ndarray:

@@ -2,6 +2,8 @@
 """Large planes are found among points, and a floor at a grazing angle has its depths by them."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import filmed_room
 import numpy as np
 import pytest
@@ -55,6 +57,17 @@ def test_a_floor_has_its_depths(pictures):
     edge_on = np.array([[0.0, 0.0, 0.0, 0.0]])
     assert all(a is b for a, b in zip(planes.laid(pictures, before, edge_on, NEAR, FAR), before))
     assert planes.laid(pictures[:1], before[:1], large, NEAR, FAR) == [None], "a camera alone tells no depth"
+
+
+def test_what_a_neighbour_does_not_show_does_not_count(pictures):
+    behind = np.diag([-1.0, 1, -1, 1])
+    away = [(image, replace(camera, world_to_camera=behind @ camera.world_to_camera), None) for image, camera, _ in pictures]
+    toward = np.array([[0, 0, 1 / 3.0], [0, 0, 1 / 5.0]])
+    three = sweep.differences(pictures[0], pictures[1:4], toward)
+    assert np.array_equal(sweep.differences(pictures[0], pictures[1:4] + away[1:4], toward), three)
+    assert np.array_equal(sweep.differences(pictures[0], away[1:4] + pictures[1:4], toward), three)
+    lonely = sweep.differences(pictures[0], pictures[1:2] + away[1:4], toward)
+    assert (lonely > sweep.OUTSIDE / 2).all(), "one picture alone is no evidence among several"
 
 
 def test_planes_among_points():

@@ -44,10 +44,11 @@ def test_a_faint_wall_in_different_shades_has_points(room):
     moments = chosen_moments(capture)
     assert stand_still(moments)
     pictures = [[picture(capture, store, settings(), shot, 320) for shot in shots] for shots in moments]
-    found = still.standing(list(zip(*pictures)), np.zeros((0, 4)), NEAR, FAR)
+    found, large = still.standing(list(zip(*pictures)), NEAR, FAR, 0)
     pixels = sum(image.shape[0] * image.shape[1] for image, _, _ in pictures[0])
     assert np.isnan(found.t).all() and len(found) > 0.5 * pixels
     assert np.median(off(found.xyz)) < 0.02 and (off(found.xyz) < 0.1).mean() > 0.9
+    assert any(abs(plane[2]) > 0.99 and abs(abs(plane[3]) - filmed_room.FAR) < 0.1 for plane in large), "the wall is among the planes"
     by_colour = np.concatenate([xyz for xyz, _ in sweep.surfaces(pictures[0], sweep.swept(pictures[0], NEAR, FAR))])
     assert len(by_colour) < 0.01 * pixels, "shades hide the wall where colours are compared"
 
