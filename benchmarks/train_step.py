@@ -66,7 +66,8 @@ class Step:
         ahead = backend.begin_step()
         picture = backend.forward(arrays, self.model, self.camera, TIME)
         difference = backend.compare(picture, self.target, None, None, 0.2, 0.0, 1.0)
-        gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics, seen=seen)
+        gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics,
+                                          error=difference.error, seen=seen)
         rows = backend.rows(seen)
         backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, self.optimiser.steps_since_update(rows))
         self.optimiser.step(gradients, rows, self.rates)

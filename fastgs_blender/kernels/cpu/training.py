@@ -21,6 +21,9 @@ from .project_backward import observe
 from .rasterise import RasterGradients, RasterState, rasterise_backward, rasterise_forward
 from .splats import ProjectedSplats, project_backward, project_instances
 
+LEAST_MEAN = 1e-6
+"""Mean difference of a picture below which its pixels' errors are taken over this, so that a perfect one has none."""
+
 
 @dataclass(frozen=True, eq=False)
 class View:
@@ -70,8 +73,9 @@ def compare(picture: ForwardPass, target: np.ndarray, weight: np.ndarray | None,
     if background is not None:
         through = grad_rgb[..., 0] * background[0] + grad_rgb[..., 1] * background[1] + grad_rgb[..., 2] * background[2]
         grad_alpha = -through if grad_alpha is None else grad_alpha - through
-    error = float(np.square(rgb - target).mean())
-    return Comparison(np.array([loss, l1, ssim, error]), grad_rgb, grad_alpha)
+    square = float(np.square(rgb - target).mean())
+    error = np.abs(rgb - target).mean(-1) / np.float32(max(l1, LEAST_MEAN))
+    return Comparison(np.array([loss, l1, ssim, square]), grad_rgb, grad_alpha, error if weight is None else error * weight)
 
 
 def _over(picture: ForwardPass, background: np.ndarray | None) -> np.ndarray:
@@ -106,9 +110,9 @@ def agreement(picture: ForwardPass, target: np.ndarray, weight, least, backgroun
     return np.concatenate([np.stack(colour, -1).ravel(), clock])
 
 
-def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, statistics=None, seen=None, detach_time=False):
+def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, statistics=None, error=None, seen=None, detach_time=False):
     """TrainingBackend.backward()."""
-    asserts.backward(picture, rgb, alpha, depth, into, statistics, seen)
+    asserts.backward(picture, rgb, alpha, depth, into, statistics, error, seen)
     view: View = picture.state
     camera, appearance = view.instance.camera, view.instance.model.appearance
     gradients = {}
@@ -129,7 +133,7 @@ def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, st
     if depth is not None and view.layout.depth is not None:
         channels[..., view.layout.depth] += depth
     alpha = np.zeros(picture.alpha.shape, np.float32) if alpha is None else alpha
-    splats = rasterise_backward(view.raster, channels, alpha)
+    splats = rasterise_backward(view.raster, channels, alpha, error)
     if statistics is not None:
         add_view(statistics, view.splats, splats, camera)
     if seen is not None:

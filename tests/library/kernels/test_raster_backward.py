@@ -80,11 +80,12 @@ def both(rng, order, geometry, attributes, camera=CAMERA, band=0.0):
     grad = rng.normal(size=out.shape)
     assert np.abs(np.concatenate([buffers.channels, buffers.alpha[..., None]], 2) - out.detach().numpy()).max() < 2e-5
     expected = [g.numpy() for g in torch.autograd.grad(out, tensors, torch.tensor(grad))]
-    got = cpu.rasterise_backward(drawn, grad[..., :-1], grad[..., -1])
+    error = rng.uniform(0, 3, out.shape[:2])
+    got = cpu.rasterise_backward(drawn, grad[..., :-1], grad[..., -1], error)
     rest = np.setdiff1d(np.arange(len(geometry)), order)
     assert not any(np.any(getattr(got, name)[rest]) for name in ("geometry", "log2_opacity", "channels", "absolute"))
     ours = [np.concatenate([got.geometry, got.log2_opacity[:, None]], 1)[order], got.channels[order], got.absolute[order]]
-    return ours, [expected[0], expected[1], np.abs(expected[2]).sum((2, 3))]
+    return ours, [expected[0], expected[1], (np.abs(expected[2]) * error).sum((2, 3))]
 
 
 def assert_close(ours, theirs, tolerance=2e-4):
