@@ -126,7 +126,8 @@ def lamp_of(obj, matrix: np.ndarray, samples: int, from_working: np.ndarray) -> 
         return Lamp(light, power / np.pi, -axes[:, 2], flat(data.spread), name=name)
     soft = data.shadow_soft_size if data.use_soft_falloff else 0.0
     beam = cone(data.spot_size, data.spot_blend) if data.type == 'SPOT' else None
-    return Lamp(light, power / (4 * np.pi), -axes[:, 2], beam, soft, name)
+    shape = axes @ np.linalg.pinv(matrix[:3, :3])  # a scaled spot's cone is scaled with it
+    return Lamp(light, power / (4 * np.pi), -axes[:, 2], beam, soft, name, None if np.allclose(shape, shape[0, 0] * np.eye(3)) else shape)
 
 
 def _tint(data) -> np.ndarray:

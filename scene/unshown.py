@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds what a scene holds that FAST-GS does not render, so that it is told instead of missed."""
 from ..fastgs_blender.rendering.passes import LAMPS
-from . import holdout, light_probe, objects, shadows
+from . import holdout, lamps, light_probe, objects, shadows, world
 
 NAMED = 3
 """Objects that a sentence names; of further ones it gives the number."""
@@ -31,11 +31,15 @@ def settings(scene, view_layer) -> list[str]:
     """Sentences about settings that are switched on and do nothing here."""
     holdouts = [obj.name for obj in view_layer.objects if objects.is_splat(obj) and holdout.is_held_out(obj, view_layer)]
     probes = [probe for probe in light_probe.all_of(scene) if not probe.hide_render]
+    lit = any(objects.is_splat(obj) and lamps.takes_light(obj) for obj in view_layer.objects)
+    lamps_here = [obj for obj in view_layer.objects if lit and obj.type == 'LIGHT' and not obj.hide_render]
+    uneven = [obj.name for obj in lamps_here if not world.is_plain(obj.data)]
     surplus = [obj.name for obj in shadows.chosen(scene)[LAMPS:]]
     return ([f"Holdout of splats is not rendered yet: {', '.join(holdouts[:NAMED])} is shown as usual."] if holdouts else []) + (
         [f"At most {LAMPS} lamps have a splat shadow; {', '.join(surplus[:NAMED])} has none."] if surplus else []) + (
         [f"One light probe counts, {probes[0].name}; {', '.join(probe.name for probe in probes[1:NAMED + 1])} does nothing."]
-        if len(probes) > 1 else [])
+        if len(probes) > 1 else []) + (
+        [f"Textures in the nodes of lamps do not light splats: {', '.join(uneven[:NAMED])} has its plain colour."] if uneven else [])
 
 
 def in_viewports(scene) -> str | None:

@@ -6,6 +6,8 @@ from . import light_probe
 from .colour import blackbody
 
 BLACK = (0.0, 0.0, 0.0)
+CONSTANTS = 'ShaderNodeRGB', 'ShaderNodeValue'
+"""Nodes whose value is all there is to them."""
 
 
 def background(scene, view_layer) -> tuple[tuple[float, float, float] | None, bpy.types.World | None]:
@@ -39,13 +41,28 @@ def surface(scene, view_layer) -> tuple[tuple[float, float, float], bpy.types.Wo
 
 def emission(data) -> tuple[float, float, float]:
     """The factor [3] that the nodes of a light make of its colour: plain colours, temperatures and strengths count."""
+    node = _shader(data)
+    if node is None or node.bl_idname != 'ShaderNodeEmission':
+        return (1.0, 1.0, 1.0)
+    (colour, _), (strength, _) = (_value(node.inputs[name]) for name in ("Color", "Strength"))
+    return tuple(c * strength for c in colour[:3])
+
+
+def is_plain(data) -> bool:
+    """Whether emission() takes all that the nodes of a light do."""
+    node = _shader(data)
+    if node is None:
+        return True
+    links = [_source(node.inputs[name]) for name in ("Color", "Strength")] if node.bl_idname == 'ShaderNodeEmission' else []
+    return bool(links) and all(link is None or link.from_node.bl_idname in (*CONSTANTS, 'ShaderNodeBlackbody') for link in links)
+
+
+def _shader(data):
+    """The node that a light's colour comes from; None where it has no nodes."""
     used = data.node_tree and (bpy.app.version >= (5, 2, 0) or data.use_nodes)  # later lights always use their nodes
     output = data.node_tree.get_output_node('ALL') if used else None
     link = _source(output.inputs["Surface"]) if output else None
-    if link is None or link.from_node.bl_idname != 'ShaderNodeEmission':
-        return (1.0, 1.0, 1.0)
-    (colour, _), (strength, _) = (_value(link.from_node.inputs[name]) for name in ("Color", "Strength"))
-    return tuple(c * strength for c in colour[:3])
+    return link and link.from_node
 
 
 def _source(socket):
@@ -63,7 +80,7 @@ def _value(socket):
     link = _source(socket)
     if link is None:
         return socket.default_value, True
-    if link.from_node.bl_idname in ('ShaderNodeRGB', 'ShaderNodeValue'):
+    if link.from_node.bl_idname in CONSTANTS:
         return link.from_socket.default_value, True
     if link.from_node.bl_idname == 'ShaderNodeBlackbody':
         return blackbody(_value(link.from_node.inputs["Temperature"])[0]), False  # near enough to light with, not to be looked at

@@ -32,6 +32,7 @@ class Lamp:
     beam    how it fades away from the axis
     soft    radius within which it gets no brighter (Cycles' soft falloff)
     name    by which ObjectSettings and SceneLight know what it does not light, and what its light passes
+    shape   [3, 3] by which directions are multiplied before the beam takes their angles to the axis; None: they are taken as they are
 
     Raises FastGSError for colours that are not finite, or not one for all points or one each.
     """
@@ -42,6 +43,7 @@ class Lamp:
     beam: Beam | None = None
     soft: float = 0.0
     name: str = ""
+    shape: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         colour = np.asarray(self.colour, np.float64)
@@ -62,6 +64,9 @@ class Lamp:
         share = np.maximum(normal[0] * x + normal[1] * y + normal[2] * z, 0) / ((square + self.soft**2) * length)
         if self.beam is not None and self.axis is not None:
             along = self.axis[number]
+            if self.shape is not None:
+                x, y, z = (row[0] * x + row[1] * y + row[2] * z for row in self.shape)
+                length = np.sqrt(np.maximum(x * x + y * y + z * z, 1e-12))
             share *= self.beam(-(along[0] * x + along[1] * y + along[2] * z) / length)
         return share
 

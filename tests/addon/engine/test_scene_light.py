@@ -143,6 +143,13 @@ def test_points_spots_and_the_world(scene, shot, lamp):
 
 
 @pytest.mark.slow
+def test_a_scaled_spot_has_an_oval_cone(shot, lamp):
+    lamp('SPOT', (-0.5, -0.7, 2.5), energy=150, shadow_soft_size=0.02, spot_size=0.9, spot_blend=0.4).scale = 1.8, 0.5, 1.2
+    _, _, lit, cycles = shot()
+    assert psnr(lit(), cycles()) > 32
+
+
+@pytest.mark.slow
 def test_a_world_with_a_picture_lights_as_in_cycles(scene, shot, tmp_path):
     """A sky that is bright on one side, with a warm sun in it: it lights, and meshes throw its shadows."""
     image = bpy.data.images.new("Around", 128, 64, float_buffer=True)
@@ -271,6 +278,25 @@ def test_a_lamp_has_the_temperature_of_its_nodes(scene, lamp, module):
         body.inputs[0].default_value = kelvin
         found = module("scene.world").emission(data)
         assert np.allclose(found, 2 * np.array(wanted), rtol=0.03 if kelvin > 800 else 0.12, atol=0.02), kelvin
+
+
+def test_textures_of_lamps_are_told(scene, screen, lamp, add_camera, render, warned):
+    """Where lamps light splats; temperatures count, so they are not told."""
+    add_camera()
+    data = lamp('POINT', energy=60).data
+    if bpy.app.version < (5, 2, 0):
+        data.use_nodes = True
+    shader = next(node for node in data.node_tree.nodes if node.bl_idname == 'ShaderNodeEmission')
+    data.node_tree.links.new(data.node_tree.nodes.new('ShaderNodeBlackbody').outputs[0], shader.inputs["Color"])
+    screen.fastgs.lamp_light = 1
+    render("PNG16")
+    assert not any("Textures" in text for text in warned())
+    data.node_tree.links.new(data.node_tree.nodes.new('ShaderNodeTexNoise').outputs[0], shader.inputs["Strength"])
+    render("PNG16")
+    assert any("Textures" in text and "Point" in text for text in warned())
+    screen.fastgs.lamp_light = 0
+    render("PNG16")
+    assert not any("Textures" in text for text in warned())
 
 
 @pytest.mark.slow
