@@ -64,10 +64,10 @@ def list_spans(order, geometry, attributes, grid, tile, wanted=None):
     and counts [segments, tiles] int64.
     """
     pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
-    changes = np.zeros((max(len(pieces), 1), grid[2] * grid[3] + 1), np.int64)
+    changes = np.zeros((max(len(pieces), 1), grid[2] * grid[3] + 1), np.int32)
     rest = (order, geometry, attributes, *grid, tile.bit_length() - 1, tiles.which_tiles(wanted, *grid[2:]))
     segments = run(lambda s, first, last: tiles.spans(first, last, *rest, changes[s]), [(s, *piece) for s, piece in enumerate(pieces)])
-    return segments, changes.cumsum(1)[:, :-1]
+    return segments, changes.cumsum(1, np.int64)[:, :-1]
 
 
 def list_tiles(segments, counts, first: int, last: int):

@@ -12,10 +12,13 @@ import numpy as np
 
 from . import raster
 from .jit import inline, kernel
+from .lanes import LANES, put, take, where
 from .simd import prefetch
 
 MARGIN = 1e-3
 """Pixels by which an extent is widened, so that rounding never loses a pixel that the rasteriser would blend."""
+ROUNDING = 1e-6
+"""The same, of the first tile."""
 
 
 AHEAD = 16
@@ -74,6 +77,9 @@ def _spans(first, last, order, geometry, attributes, grid, wanted, changes, spla
     """
     (tile_x, tile_y, columns, rows, shift), (sums, after, before) = grid, wanted
     tile, some = 1 << shift, len(after) > 0
+    number, found = np.empty((1, LANES)), np.empty((2, LANES))
+    for lane in range(LANES):
+        number[0, lane] = lane * tile
     # from here on in pixels from the centre of the first tile's first pixel
     right_most, bottom_most = columns * tile - 1.0, rows * tile - 1.0
     for k in range(first, last):
@@ -98,29 +104,39 @@ def _spans(first, last, order, geometry, attributes, grid, wanted, changes, spla
             square = np.float64(attributes[i, raster.LOG2_OPACITY]) - np.float64(attributes[i, raster.LOG2_CUT])
             peak = b * math.sqrt(square) / (c * math.sqrt(b * b + c * c))
         for row in range(top, bottom + 1):
-            one, other = row * columns + left, row * columns + right
-            if some:
+            one, other, lane = left, right, (row - top) % LANES
+            if exact:
+                if lane == 0:
+                    _extent(number, row * tile - my, tile, (square, peak, a, b, c), mx, box_left, box_right, found)
+                one, other = int(found[0, lane]), int(found[1, lane])
+            one, other = row * columns + one, row * columns + other
+            if some and one <= other:
                 one, other = after[one], before[other]
-            if exact and one < other:
-                # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
-                low = row * tile - my
-                high = low + (tile - 1)
-                y = min(max(peak, low), high)
-                x0 = max(mx - (math.sqrt(max(square - (c * y) ** 2, 0.0)) + b * y) * a - MARGIN, box_left)
-                y = min(max(-peak, low), high)
-                x1 = min(mx + (math.sqrt(max(square - (c * y) ** 2, 0.0)) - b * y) * a + MARGIN, box_right)
-                if not x0 <= x1:
-                    continue
-                one, other = max(one, row * columns + _tile(x0, shift)), min(other, row * columns + (int(x1) >> shift))
-                if some and one <= other:
-                    one, other = after[one], before[other]
-            if one > other:
-                continue
+            # written anyway, and kept where there are any: no branch, which the processor would guess wrong
+            touched = one <= other
             splat[n], begin[n], end[n] = i, one, other + 1
-            changes[one] += 1
-            changes[other + 1] -= 1
-            n += 1
+            changes[one] += touched
+            changes[other + 1] -= touched
+            n += touched
     return last, n
+
+
+@inline
+def _extent(number, low, tile, ellipse, mx, box_left, box_right, found):
+    """The first and the last tile that an ellipse around mx touches in eight rows of tiles, into found [2, LANES]; the last is -1 where
+    there is none.
+
+    number [1, LANES]: where the rows begin from the first one, which begins `low` from the ellipse's centre.
+    """
+    square, peak, a, b, c = ellipse
+    low = take(number, 0, 0) + low
+    high = low + (tile - 1.0)
+    # the ellipse's rightmost point lies at height -peak, its leftmost at +peak; else it is at the row's edge
+    y, z = min(max(peak, low), high), min(max(-peak, low), high)
+    x0 = max(mx - (math.sqrt(max(square - c * y * (c * y), 0.0)) + b * y) * a - MARGIN, box_left)
+    x1 = min(mx + (math.sqrt(max(square - c * z * (c * z), 0.0)) - b * z) * a + MARGIN, box_right)
+    put(found, 0, 0, (x0 + (1.0 - ROUNDING)) * (1.0 / tile))
+    put(found, 1, 0, where(x0 <= x1, x1 * (1.0 / tile), -1.0))
 
 
 @inline
