@@ -69,8 +69,9 @@ class Step:
         gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics,
                                           error=difference.error, seen=seen)
         rows = backend.rows(seen)
-        backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, self.optimiser.steps_since_update(rows))
-        self.optimiser.step(gradients, rows, self.rates)
+        since = self.optimiser.steps_since_update(rows)
+        backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, since)
+        self.optimiser.step(gradients, rows, self.rates, since)
         self.begun.append(backend.end_step())
         if len(self.begun) > ahead:
             self.begun.popleft()()

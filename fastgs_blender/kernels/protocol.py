@@ -279,13 +279,15 @@ class TrainingBackend(PictureBackend, Protocol):
         """Move nearly transparent Gaussians, but for the first `frozen`, at random, each in its own shape, by about reach (MCMC); key:
         whole numbers that decide the random numbers.  Of the parameters, position [N, 3] is written to."""
 
-    def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
+    def adam(self, rows: Rows, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int,
+             since: Array | None = None) -> None:
         """A step of Adam in place, against the gradients, for these rows alone, each as far as cpu.adam.reach() says; moved [N] int64
         becomes `step` there.
 
         tensors  (value, gradient, mean, square, count [len(value)] int32, rate, shared) each: mean and square are Adam's moments of
                  the value's shape; count is how many steps each row has taken; rate is a number, or one for each column of a row;
                  of a shared array all rows move.  A gradient that is not finite counts as zero
+        since    steps_since(rows, moved, step), where it is known
         """
 
     # before training; NumPy arrays in and out

@@ -90,12 +90,12 @@ def mcmc_noise(parameters: dict, reach: float, key: tuple[int, ...], frozen: int
     parameters["position"][rows] += np.einsum("nij,nj,nkj,nk->ni", axes, scale**2, axes, step).astype(np.float32)
 
 
-def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarray, step: int) -> None:
+def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarray, step: int, since: np.ndarray | None = None) -> None:
     """TrainingBackend.adam()."""
     asserts.adam(tensors, moved)
     table, pieces = kernels.corrections(*betas), []
     assert len(rows) == 0 or (rows.min() >= 0 and rows.max() < len(moved))
-    reach = kernels.reach(step - moved[rows])
+    reach = kernels.reach((steps_since(rows, moved, step) if since is None else since)[rows])
     for value, gradient, mean, square, count, rate, shared in tensors:
         n = len(value)
         these, far = (np.arange(n), np.ones(n, np.float32)) if shared else (rows, reach)

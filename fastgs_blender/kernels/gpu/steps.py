@@ -84,10 +84,11 @@ def mcmc_noise(device: Device, parameters: dict, reach: float, key: tuple[int, .
         device.run("mcmc_noise", len_(arrays[0]), job, *arrays, device.spilled)
 
 
-def adam(device: Device, rows: Array, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int) -> None:
+def adam(device: Device, rows: Array, tensors: list[tuple], betas: tuple[float, float], moved: Array, step: int,
+         since: Array | None = None) -> None:
     """TrainingBackend.adam()."""
     asserts.adam(tensors, moved)
-    table, since = _table(device, *betas), steps_since(device, rows, moved, step)
+    table, since = _table(device, *betas), steps_since(device, rows, moved, step) if since is None else since
     for value, gradient, mean, square, steps, rate, shared in tensors:
         columns = math.prod(value.shape[1:])
         rates = np.zeros(-(-columns // 4) * 4, np.float32)

@@ -99,17 +99,18 @@ class Optimiser:
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
-    def step(self, gradients: dict, rows: Any, rates: dict) -> None:
+    def step(self, gradients: dict, rows: Any, rates: dict, since: Any = None) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates; rows that were
         seen P steps ago by sqrt(P) of them (kernels.cpu.adam).
 
         gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
         rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are
+        since      steps_since_update(rows), where it is known
         """
         self.steps += 1
         tensors = [(self.arrays[name], gradients[name], self.means[name], self.squares[name], self.counts[name], rate, name in SHARED)
                    for name, rate in rates.items() if self._sizes.get(name)]
-        self.backend.adam(rows, tensors, self.betas, self.moved, self.steps)
+        self.backend.adam(rows, tensors, self.betas, self.moved, self.steps, since)
 
     def state(self) -> dict[str, np.ndarray]:
         """Everything as NumPy arrays; on the CPU these are the optimiser's own, so copy them before further steps."""

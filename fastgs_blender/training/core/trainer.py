@@ -133,8 +133,9 @@ class Trainer:
         losses = [view.loss.values for view in views if view.loss is not None]
         gradients, seen, losses, self.statistics = processes.sum_step(backend, gradients, seen, losses, statistics)
         rows = backend.rows(seen, self.strategy.frozen)
-        penalty = self._regularise(gradients, rows)
-        self.optimiser.step(gradients, rows, rates)
+        since = self.optimiser.steps_since_update(rows)
+        penalty = self._regularise(gradients, rows, since)
+        self.optimiser.step(gradients, rows, rates, since)
         end = backend.end_step(backend.count(rows), penalty, *losses, *measured)
         self.pending.append(Pending(i, len(self), views, self.cameras, self.delayed.updated, end))
         self.iteration += 1
@@ -222,12 +223,12 @@ class Trainer:
                                               error=view.loss.error, seen=seen, detach_time=True)
         return gradients
 
-    def _regularise(self, gradients: dict, rows: Any) -> Any:
+    def _regularise(self, gradients: dict, rows: Any, since: Any) -> Any:
         """Add the gradients of penalties that do not depend on the views; returns L_M-reg, [1] of the backend."""
         s, backend, arrays = self.settings, self.backend, self.optimiser.arrays
         penalty = backend.zeros((1,), np.float64)
         if s.motion_weight and self.template.basis.terms:
-            scale, since = s.motion_weight * motion_factor(s.regulariser, len(self)), self.optimiser.steps_since_update(rows)
+            scale = s.motion_weight * motion_factor(s.regulariser, len(self))
             penalty = backend.motion_penalty(self.motion_norm, arrays["motion"], gradients["motion"], scale, since)
         anchor(backend, arrays, gradients, rows, self.pixels // schedule.reduction(s, self.iteration) ** 2)
         self.strategy.penalise(backend, arrays, gradients)
