@@ -20,8 +20,9 @@ from ..rendering.filters import base_colours
 from ..util.errors import FastGSError
 from .joins import joins
 
-PULL = 0.3
-"""How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it."""
+PULL, MOST_PULL = 0.3, 0.03
+"""How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it, with MANY Gaussians; and at most.  By more, a
+thing of which a stroke touched two Gaussians would be pulled as far as one that it went along."""
 REST, REST_ALONE = 2.5e-4, 1e-3
 """How strongly each Gaussian is pulled to 0, by the same sum; and where no stroke says what does not belong to the thing."""
 OTHER, TINT = 5.0, 0.15
@@ -66,8 +67,9 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     i, j = found.ends.T
     weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
     degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
-    pulled = degree * min(MANY / len(model), 1) ** 1.5
-    pull, rest = PULL * pulled * np.abs(side), rest * pulled * min(int(yes.sum()) / FEW, 1)
+    many = min(MANY / len(model), 1) ** 1.5
+    pull = min(PULL * many, MOST_PULL) * degree * np.abs(side)
+    rest = rest * many * degree * min(int(yes.sum()) / FEW, 1)
     y = potential(found.ends, weight, pull + rest, pull * side, model.position)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)

@@ -60,6 +60,18 @@ def test_a_few_wrong_gaussians_of_a_stroke_are_outvoted():
     assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
 
 
+def test_what_the_rim_of_a_stroke_touched_is_not_meant():
+    """Four Gaussians of the box below are in a stroke of forty, and no other stroke says what that box is."""
+    scene = made("lifted")
+    yes, no = scenes.strokes(scene.model, scene)
+    box, below = np.flatnonzero(scene.truth), np.flatnonzero(scene.label == scene.names.index("base"))
+    nearest_to_first = [rows[np.argsort(np.linalg.norm(scene.model.position[rows] - scene.model.position[rows[0]], axis=1))]
+                        for rows in (box, below)]
+    no[below], yes = False, yes & scene.truth
+    yes[nearest_to_first[0][:40]] = yes[nearest_to_first[1][:4]] = True
+    assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
+
+
 def test_without_a_stroke_there_is_a_sentence():
     with pytest.raises(fg.FastGSError, match="stroke"):
         grow(random_model(np.random.default_rng(0), 30), np.zeros(30, bool))
