@@ -13,9 +13,8 @@ from . import (
     info,
     loop,
     render,
-    reproduce,
     sync,
     train,
 )
 
-COMMANDS = (info, check, convert, clean, annotate, align, loop, cameras, sync, render, train, eval, reproduce, bench, completion)
+COMMANDS = (info, check, convert, clean, annotate, align, loop, cameras, sync, render, train, eval, bench, completion)

@@ -10,12 +10,14 @@ from itertools import pairwise
 
 import numpy as np
 
+from ...captures.capture import Capture
 from ...model.chapters import Chapters
 from ...model.cutting import cut, same_rows
 from ...model.gaussians import Clip, GaussianModel
 from ...model.joining import FOREVER, Segment, join
 from ...model.motion import Static
 from ...model.surroundings import Surroundings, together
+from ..core.settings import Settings
 from ..initial.continued import stands
 
 FLANK = 2.36
@@ -42,6 +44,12 @@ def spans(frame_count: int, segment_frames: int, overlap: int) -> list[Span]:
     count = min(-(-(frame_count + (number - 1) * overlap) // number), segment_frames)
     firsts = np.floor(np.linspace(0, frame_count - count, number) + 0.5).astype(int)
     return [Span(int(first), count) for first in firsts]
+
+
+def steps_of(capture: Capture, settings: Settings) -> int:
+    """Steps of a whole run, in all its segments."""
+    cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
+    return sum(settings.of_segment(k).iterations for k in range(len(cuts)))
 
 
 def joined_clip(load: Callable[[int], GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> Chapters:

@@ -1,8 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""fastgs reproduce: the protocols of three data sets on tiny scenes that lie as each data set does."""
+"""benchmarks/reproduce.py: the protocols of three data sets on tiny scenes that lie as each data set does."""
 from __future__ import annotations
 
+import importlib.util
 import json
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -11,13 +13,19 @@ from PIL import Image
 from toy_captures import toy_cameras, toy_scene
 
 import fastgs_blender as fg
-from fastgs_blender import cli
 from fastgs_blender.captures import open_capture
-from fastgs_blender.commands.reproduce import table
-from fastgs_blender.evaluation.protocols import PROTOCOLS, parts
 
 FRAMES = 3
 FEW = ["--set", "iterations=3", "--set", "preview_every=0", "--set", "max_gaussians=300", "--no-lpips", "--quiet"]
+
+
+@pytest.fixture(scope="module")
+def reproduce():
+    spec = importlib.util.spec_from_file_location("reproduce", Path(__file__).resolve().parents[3] / "benchmarks" / "reproduce.py")
+    sys.modules["reproduce"] = module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    yield module
+    del sys.modules["reproduce"]
 
 
 def quaternion(rotation):
@@ -95,17 +103,17 @@ def immersive(folder: Path):
     (folder / "models.json").write_text(json.dumps(entries))
 
 
-def reproduce(capsys, *arguments) -> list[dict]:
-    assert cli.main(["reproduce", *map(str, arguments), *FEW, "--json"]) == 0
+def rows_of(reproduce, capsys, *arguments) -> list[dict]:
+    assert reproduce.main([*map(str, arguments), *FEW, "--json"]) == 0
     return json.loads(capsys.readouterr().out)
 
 
 @pytest.mark.slow
-def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeypatch):
+def test_neural_3d_video_with_the_points_of_each_frame(reproduce, tmp_path, capsys, monkeypatch):
     n3v(tmp_path / "data" / "cook_spinach")
     arguments = ["n3v", tmp_path / "data", "--out", tmp_path / "out"]
     loud = [*map(str, arguments), *(option for option in FEW if option != "--quiet"), "--json"]
-    assert cli.main(["reproduce", *loud]) == 0
+    assert reproduce.main([*loud]) == 0
     told = capsys.readouterr()
     row, = json.loads(told.out)
     assert told.err.index("training will take about") < told.err.index("cook_spinach: training"), "before it starts"
@@ -120,37 +128,40 @@ def test_neural_3d_video_with_the_points_of_each_frame(tmp_path, capsys, monkeyp
     assert plan["settings"]["init"] == "file" and plan["settings"]["preset"] == "paper" and row["gaussians"] <= 9
     assert json.loads((tmp_path / "out" / "reproduce.json").read_text())["rows"] == [row]
     monkeypatch.setattr("fastgs_blender.training.run.launch.launch", lambda *rest: pytest.fail("it was trained again"))
-    assert cli.main(["reproduce", *loud]) == 0
+    assert reproduce.main([*loud]) == 0
     told = capsys.readouterr()
     assert json.loads(told.out)[0]["measured"] == row["measured"] and "will take" not in told.err
-    assert cli.main(["reproduce", *map(str, arguments), *FEW, "--preset", "stg"]) == 2 and "preset = paper" in capsys.readouterr().err
-    assert cli.main(["reproduce", *map(str, arguments), *FEW]) == 0
+    assert reproduce.main([*map(str, arguments), *FEW, "--preset", "stg"]) == 2 and "preset = paper" in capsys.readouterr().err
+    assert reproduce.main([*map(str, arguments), *FEW]) == 0
     lines = capsys.readouterr().out.splitlines()
     assert [line.split("  ")[0] for line in lines if line[0] != " "] == ["scene", "cook_spinach cam00"] and "33.49" in lines[2]
 
 
-def test_immersive_has_a_row_for_each_view_of_the_paper(tmp_path, capsys):
+def test_immersive_has_a_row_for_each_view_of_the_paper(reproduce, tmp_path, capsys):
     immersive(tmp_path / "data" / "02_Flames")
-    rows = reproduce(capsys, "immersive", tmp_path / "data", "--out", tmp_path / "out", "--set", "init=random", "--set", "init_points=60")
+    rows = rows_of(reproduce, capsys, "immersive", tmp_path / "data", "--out", tmp_path / "out", "--set", "init=random",
+                   "--set", "init_points=60")
     assert [(row["view"], row["paper"]["psnr"]) for row in rows] == [("camera_0010", 30.56), ("camera_0037", 31.54)]
     assert all("psnr" in row["measured"] for row in rows)
     plan = json.loads((tmp_path / "out" / "02_Flames" / "run.json").read_text())
     assert plan["settings"]["activation"] == "none" and plan["settings"]["decode"] == "premultiplied", "STG's configuration of the scene"
     assert plan["settings"]["densify_time"] == "keep", "densify 6 of train_imdist.py, which clones with densify_and_cloneim()"
-    first, second = table(rows).splitlines()[2:6:3]
+    first, second = reproduce.table(rows).splitlines()[2:6:3]
     assert first.split()[-3:] == ["146", "363", "40.6"] and second.split()[-3:] == ["-", "-", "-"], "the paper's second table"
-    assert table(rows).splitlines()[3].split()[-3:] == ["154", "248", "34.2"]
+    assert reproduce.table(rows).splitlines()[3].split()[-3:] == ["154", "248", "34.2"]
 
 
-def test_technicolor_trains_on_the_published_frames(tmp_path, capsys):
+def test_technicolor_trains_on_the_published_frames(reproduce, tmp_path, capsys):
     technicolor(tmp_path / "data" / "Fabien")
-    row, = reproduce(capsys, "technicolor", tmp_path / "data", "--out", tmp_path / "out", "--preset", "stg", "--set", "segment_frames=0")
+    row, = rows_of(reproduce, capsys, "technicolor", tmp_path / "data", "--out", tmp_path / "out", "--preset", "stg",
+                    "--set", "segment_frames=0")
     assert row["view"] == "10" and row["paper"] == {}
     plan = json.loads((tmp_path / "out" / "Fabien" / "run.json").read_text())
     assert plan["source"]["frames"] == [1, 51, 1] and plan["settings"]["init"] == "file" and plan["settings"]["motion"] == "polynomial"
 
 
-def test_long_films_are_cut_into_fragments_as_published():
+def test_long_films_are_cut_into_fragments_as_published(reproduce):
+    parts, PROTOCOLS = reproduce.parts, reproduce.PROTOCOLS
     made = parts(PROTOCOLS["n3v"], Path("flame_salmon_1"), 1200, 0, None)
     assert [(p.name, p.frames.start, p.frames.stop) for p in made][::3] == [
         ("flame_salmon_1-1of4", 0, 300), ("flame_salmon_1-4of4", 900, 1200)] and made[0].scene == "flame_salmon"
@@ -168,9 +179,9 @@ def test_points_of_each_frame_belong_to_their_moments_and_to_the_same_cameras(tm
     assert other.points is None and "stand elsewhere" in " ".join(other.notes)
 
 
-def test_a_folder_without_scenes_is_told(tmp_path, capsys):
-    assert cli.main(["reproduce", "n3v", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
+def test_a_folder_without_scenes_is_told(reproduce, tmp_path, capsys):
+    assert reproduce.main(["n3v", str(tmp_path), "--out", str(tmp_path / "out")]) == 2
     assert "of a scene" in capsys.readouterr().err
     n3v(tmp_path / "sear_steak", frames=1)
-    assert cli.main(["reproduce", "n3v", str(tmp_path), "--out", str(tmp_path / "out"), "--scenes", "sear_steak,soup"]) == 2
+    assert reproduce.main(["n3v", str(tmp_path), "--out", str(tmp_path / "out"), "--scenes", "sear_steak,soup"]) == 2
     assert "the scene soup" in capsys.readouterr().err
