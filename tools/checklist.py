@@ -119,7 +119,7 @@ def readable(zip_: Zip) -> list[str]:
 def licensed(zip_: Zip) -> list[str]:
     """The code is GPL-3.0-or-later, each module says so, and the example is CC0-1.0 (terms 1)"""
     found = [] if zip_.manifest["license"] == ["SPDX:GPL-3.0-or-later"] else ["manifest"]
-    code = [name for name in zip_.names if name.endswith((".py", ".js", ".css")) and "/vendored/" not in name]
+    code = [name for name in zip_.names if name.endswith((".py", ".js", ".css"))]
     found += [name for name in code if "SPDX-License-Identifier: GPL-3.0-or-later" not in zip_.text(name)[:200]]
     return found if "CC0 1.0" in zip_.text("examples/LICENSE.txt") else [*found, "examples/LICENSE.txt"]
 
@@ -127,10 +127,9 @@ def licensed(zip_: Zip) -> list[str]:
 def credited(zip_: Zip) -> list[str]:
     """Whoever made a part is named in the manifest, its licence in THIRD-PARTY.md or the part, itself in the SBOM (terms 3.8)"""
     listed = {part["bom-ref"]: part for part in json.loads(zip_.text("sbom.cdx.json"))["components"]}
-    owners = [*wheels.holders(zip_.wheels), *(part["copyright"] for name, part in listed.items() if name.endswith(".js"))]
-    found = [owner for owner in owners if owner not in zip_.manifest["copyright"]]
+    found = [owner for owner in wheels.holders(zip_.wheels) if owner not in zip_.manifest["copyright"]]
     for name in zip_.names:
-        if name.endswith(".whl") or "/vendored/" in name or name in sbom.EXAMPLES:
+        if name.endswith(".whl") or name in sbom.EXAMPLES:
             part = listed.get(PurePosixPath(name).name)
             found += [] if part and part["hashes"][0]["content"] == zip_.digest(name) else [name]
     packages = {wheel.name.split("-")[0].replace("_", "-").lower() for wheel in zip_.wheels}

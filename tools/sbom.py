@@ -2,7 +2,6 @@
 """The list of what a zip holds beside our own code, as CycloneDX (an SBOM): each part with its hash, licence and owners."""
 from __future__ import annotations
 
-import re
 import uuid
 from datetime import datetime
 from pathlib import Path
@@ -16,40 +15,23 @@ from cyclonedx.output.json import JsonV1Dot6
 from packageurl import PackageURL
 
 EXAMPLES = ("examples/cameras.json", "examples/fireside.safetensors")
-VENDORED = re.compile(r"// SPDX-License-Identifier: (?P<licence>\S+)\n/\* (?P<name>\S+) (?P<version>[\d.]+), .*?"
-                      r"\nCopyright \(c\) (?P<holder>[^\n]+)\n", re.DOTALL)
-"""How a script of somebody else begins, in a folder `vendored`."""
 
 
 def text(manifest: dict, bundled: list[Path], stage: Path, made: datetime) -> str:
     """The JSON for a zip with this manifest, these wheels and the files in the folder `stage`; the same words each time."""
     extension = Component(name=manifest["id"], version=manifest["version"], type=ComponentType.APPLICATION, bom_ref=manifest["id"],
                           licenses=[DisjunctiveLicense(id="GPL-3.0-or-later")], copyright=manifest["copyright"][0])
-    parts = [*(_example(stage, name) for name in EXAMPLES), *(_script(path) for path in vendored(stage)), *map(_wheel, bundled)]
+    parts = [*(_example(stage, name) for name in EXAMPLES), *map(_wheel, bundled)]
     number = uuid.uuid5(uuid.NAMESPACE_URL, f"{manifest['id']} {[(part.name, *map(str, part.hashes)) for part in parts]}")
     bom = Bom(components=parts, metadata=BomMetaData(component=extension, timestamp=made), serial_number=number)
     bom.register_dependency(extension, parts)
     return JsonV1Dot6(bom).output_as_string(indent=2) + "\n"
 
 
-def vendored(stage: Path) -> list[Path]:
-    """The files of others that lie among our own."""
-    return sorted(path for path in stage.rglob("vendored/*") if path.is_file())
-
-
 def _example(stage: Path, name: str) -> Component:
     path = stage / name
     return Component(name=path.name, type=ComponentType.DATA, bom_ref=path.name, hashes=[_hash(path)],
                      licenses=[DisjunctiveLicense(id="CC0-1.0")])
-
-
-def _script(path: Path) -> Component:
-    facts = VENDORED.match(path.read_text("utf-8"))
-    if facts is None:
-        raise ValueError(f"{path.name} does not begin as scripts of others do: its licence, its name and version, its owner.")
-    return Component(name=facts["name"], version=facts["version"], type=ComponentType.LIBRARY, bom_ref=path.name, hashes=[_hash(path)],
-                     licenses=[DisjunctiveLicense(id=facts["licence"])], copyright=f"{facts['holder']} ({facts['name']})",
-                     purl=PackageURL("npm", None, facts["name"], facts["version"]))
 
 
 def _wheel(path: Path) -> Component:

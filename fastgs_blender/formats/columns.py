@@ -1,10 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Packs columns of integers with zstd, and unpacks them.
+"""Packs columns of integers with zlib, which every browser can unpack too, and unpacks them.
 
 The column's centre is subtracted from each number, and the difference is zigzag coded (0, -1, 1, -2, ...) to z >= 0.  z becomes a symbol of
 one byte: below DIRECT the symbol is z itself; above, with 2^e the leading bit of z, it is 128 + 4 (e - 7) + the two bits after the leading
 one, and the other e - 2 bits are stored uncoded.  The Gaussians may first be sorted by their values in a column that the reader has already
-(the context): Gaussians with different statistics then lie in different groups, and zstd makes a code for each.  The packed column holds,
+(the context): Gaussians with different statistics then lie in different groups, and each has a code of its own.  The packed column holds,
 one after another,
 
     map      a bit for each number: whether its symbol is not 0; omitted where the file would be larger with it
@@ -21,15 +21,13 @@ import numpy as np
 
 from ..util.errors import FastGSError
 
-LEVEL = 19
-"""Of zstd: slow to pack, and as fast as any other to unpack."""
 DIRECT = 128
 FIRST, LAST = 7, 31
 """Powers of two of the numbers beyond DIRECT."""
 MOST = 1 << 29
 """Numbers lie within +- MOST of 0."""
 MAPPED = 0.3
-"""Share of zeros from which on a map is tried: zstd spends a bit at least on every byte."""
+"""Share of zeros from which on a map is tried: a code spends a bit at least on every byte."""
 TABLE = 500
 """Bits that the code of another group takes."""
 MOST_VALUES = 64
@@ -108,11 +106,11 @@ def packed(name: str, codes: np.ndarray, order: Order) -> tuple[bytes, Block]:
     for e in range(FIRST, LAST + 1):
         own = zigzag[(symbols >= DIRECT) & ((symbols - DIRECT) >> 2 == e - FIRST)] if symbols.max(initial=0) >= DIRECT else zigzag[:0]
         rest.append(np.packbits(((own >> np.arange(e - 2)[:, None]) & 1).astype(np.uint8)))
-    data, mapped = _frame(np.split(symbols, ends) + rest), 0
+    data, mapped = _stream(np.split(symbols, ends) + rest), 0
     if len(codes) and (symbols == 0).mean() > MAPPED:
         shown = symbols != 0
         parts = np.split(np.packbits(shown), [end // 8 for end in ends]) + np.split(symbols[shown], np.cumsum(shown)[np.array(ends) - 1])
-        other = _frame(parts + rest)
+        other = _stream(parts + rest)
         if len(other) < len(data):
             data, mapped = other, 1
     return data, Block(name, len(data), zlib.crc32(data), centre, mapped, context)
@@ -125,21 +123,17 @@ def symbols_of(zigzag: np.ndarray) -> np.ndarray:
     return np.where(zigzag < DIRECT, zigzag, beyond).astype(np.uint8)
 
 
-def _frame(parts: list[np.ndarray]) -> bytes:
-    """A zstd frame of all parts, each in blocks of its own: the shorter of one at LEVEL and one that hardly looks for repetitions.
+def _stream(parts: list[np.ndarray]) -> bytes:
+    """A zlib stream of all parts, each in blocks of its own: the shorter of one with repetitions and one with runs of equal bytes alone.
 
     Symbols repeat by chance only, and short repetitions often cost more than the codes of their symbols.
     """
-    import zstandard
-
-    plain = zstandard.ZstdCompressionParameters.from_level(1, strategy=zstandard.STRATEGY_FAST, min_match=7, hash_log=6, window_log=18)
-    frames = []
-    for packer in (zstandard.ZstdCompressor(level=LEVEL), zstandard.ZstdCompressor(compression_params=plain)):
-        stream, out = packer.compressobj(size=sum(map(len, parts))), b""
-        for part in parts:
-            out += stream.compress(part.tobytes()) + stream.flush(zstandard.COMPRESSOBJ_FLUSH_BLOCK)
-        frames.append(out + stream.flush())
-    return min(frames, key=len)
+    streams = []
+    for strategy in (zlib.Z_DEFAULT_STRATEGY, zlib.Z_RLE):
+        packer = zlib.compressobj(9, memLevel=9, strategy=strategy)
+        streams.append(b"".join([packer.compress(part.tobytes()) + packer.flush(zlib.Z_BLOCK) for part in parts if len(part)])
+                       + packer.flush())
+    return min(streams, key=len)
 
 
 def promised(codes: np.ndarray) -> float:
@@ -189,18 +183,15 @@ def unpacked(data: bytes | memoryview, block: Block, count: int, order: Order) -
     """The whole numbers int32 [count] of a packed column; nothing is allocated on the word of the packed bytes.
 
     Raises FastGSError for damage."""
-    import zstandard
-
     if zlib.crc32(data) != block.crc:
         raise FastGSError(f"the column {block.name} of a segment is damaged (its checksum is another); copy the file again.")
-    most = count * 5 + 64
+    unpacker, most = zlib.decompressobj(), count * 5 + 64
     try:
-        size = zstandard.get_frame_parameters(data).content_size
-        if not 0 <= size <= most:
-            raise FastGSError(f"the column {block.name} of a segment would be longer than its Gaussians need; copy the file again.")
-        raw = np.frombuffer(zstandard.ZstdDecompressor().decompress(data), np.uint8)
-    except zstandard.ZstdError as error:
+        raw = np.frombuffer(unpacker.decompress(data, most), np.uint8)
+    except zlib.error as error:
         raise FastGSError(f"the column {block.name} of a segment cannot be unpacked; copy the file again.") from error
+    if not unpacker.eof:
+        raise FastGSError(f"the column {block.name} of a segment would be longer than its Gaussians need; copy the file again.")
     take = _Taker(raw, block.name)
     if block.mapped:
         symbols = np.unpackbits(take(-(-count // 8)), count=count)

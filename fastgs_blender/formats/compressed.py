@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The compressed variant of our own file: quantised (quantising.py), in spatial order, each column packed with zstd (columns.py).
+"""The compressed variant of our own file: quantised (quantising.py), in spatial order, each column packed with zlib (columns.py).
 
 It is a safetensors file of uint8 arrays.  `segment.<i>` holds the packed columns of at most SEGMENT Gaussians, one column after another,
 and can be read without the other segments.  The metadata's JSON has the keys of an uncompressed file, and

@@ -69,7 +69,6 @@ MODULE = "# SPDX-License-Identifier: GPL-3.0-or-later\n"
     ("readable", {"scene/x.py": MODULE + "exec('1')"}, "scene/x.py:2 exec()"),
     ("licensed", {"scene/x.py": "1"}, "scene/x.py"),
     ("credited", {"wheels/tqdm-4.70.1-py3-none-any.whl": ""}, "2013 Noam Yorav-Raphael (tqdm)"),
-    ("credited", {"fastgs_blender/formats/web/player/vendored/other.js": ""}, "other.js"),
     ("credited", {"examples/cameras.json": "[]"}, "examples/cameras.json"),
     ("licensed", {"scene/x.js": "1"}, "scene/x.js"),
     ("unmodified", {"wheels/tqdm-4.70.1-py3-none-any.whl": ""}, "wheels/tqdm-4.70.1-py3-none-any.whl"),

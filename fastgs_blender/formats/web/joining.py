@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Joins ES modules to one script, so that a page needs no second file.  No bundler is needed: the modules keep to a few forms.
 
-    import {one, two as other} from "./other.js";       import * as all from "./vendored/other.js";
+    import {one, two as other} from "./other.js";       import * as all from "./other.js";
     export function f() {}      and likewise async function, class, const, let, var
     export {one, two};
 
@@ -23,7 +23,7 @@ UNSAFE = re.compile(r"</script|<!--", re.IGNORECASE)
 
 
 def joined(entry: str, files: Mapping[str, str]) -> str:
-    """The script that runs the module `entry`, of the texts of all modules by their paths, such as "vendored/other.js".
+    """The script that runs the module `entry`, of the texts of all modules by their paths, such as "main.js".
 
     Raises FastGSError where a module is missing, has another form of import or export, or would end the script.
     """

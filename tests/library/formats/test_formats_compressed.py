@@ -262,7 +262,7 @@ def test_columns_come_back(kind):
 
 
 def test_columns_of_noise_cost_little_more_than_their_entropy():
-    """zstd at its slowest finds repetitions in it that cost more than they save: 1.013 times the entropy."""
+    """The search for repetitions finds some in it that cost more than they save."""
     codes = np.rint(np.random.default_rng(3).normal(0, 3, 20000)).astype(int)
     share = np.bincount(codes - codes.min()) / len(codes)
     entropy = -(share[share > 0] * np.log2(share[share > 0])).sum()

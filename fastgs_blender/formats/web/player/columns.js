@@ -1,15 +1,11 @@
 // SPDX-License-Identifier: GPL-3.0-or-later
 /** Unpacks columns of whole numbers, as formats/columns.py packs them; that module says how they lie. */
+import { checksum } from "./checksum.js";
 import { damaged } from "./errors.js";
 import { LIBRARY } from "./library.js";
 import { isCount } from "./tensors.js";
-import { decompress } from "./vendored/fzstd.js";
 
 const { DIRECT, FIRST, LAST, MOST, MOST_VALUES } = LIBRARY.columns;
-const CRC = Uint32Array.from({ length: 256 }, (_, n) => {
-  for (let k = 0; k < 8; k++) n = n & 1 ? (n >>> 1) ^ 0xedb88320 : n >>> 1;
-  return n >>> 0;
-});
 
 /** The orders of a segment's Gaussians by columns that are known already: columns.Order. */
 export class Order {
@@ -67,9 +63,9 @@ export function block(listed, name, order) {
 }
 
 /** The whole numbers of a packed column, an Int32Array of `count`. */
-export function unpacked(data, { name, crc, centre, mapped, context }, count, order) {
+export async function unpacked(data, { name, crc, centre, mapped, context }, count, order) {
   if (checksum(data) !== crc) throw damaged(`the checksum of the column ${name} is another`);
-  const raw = expanded(data, 5 * count + 64, name);
+  const raw = await expanded(data, 5 * count + 64, name);
   let at = 0;
   const take = (size) => {
     if (size > raw.length - at) throw damaged(`the column ${name} is cut short`);
@@ -109,21 +105,15 @@ function bit(bytes, n) {
   return (bytes[n >> 3] >> (7 - (n & 7))) & 1;
 }
 
-function checksum(data) {
-  let crc = -1;
-  for (let n = 0; n < data.length; n++) crc = CRC[(crc ^ data[n]) & 255] ^ (crc >>> 8);
-  return ~crc >>> 0;
-}
-
-/** The content of a zstd frame that says its own length, of at most `most` bytes: nothing is allocated on its word alone. */
-function expanded(data, most, name) {
-  const flags = data[4], single = (flags >> 5) & 1, width = [single, 2, 4, 8][flags >> 6];
-  let size = width === 2 ? 256 : 0, at = 6 - single + [0, 1, 2, 4][flags & 3];
-  for (let k = 0; k < width; k++) size += data[at + k] * 2 ** (8 * k);
-  if (!width || !(size <= most)) throw damaged(`the column ${name} would be longer than its Gaussians need`);
+/** The content of a zlib stream, of at most `most` bytes: no more is unpacked. */
+async function expanded(data, most, name) {
+  const reader = new Blob([data]).stream().pipeThrough(new DecompressionStream("deflate")).getReader(), raw = new Uint8Array(most);
+  let size = 0;
   try {
-    const out = size ? decompress(data) : new Uint8Array(0);
-    if (out.length === size) return out;
-  } catch {} // what the package says of damage is in its own words
-  throw damaged(`the column ${name} cannot be unpacked`);
+    for (let step; !(step = await reader.read()).done; size += step.value.length) raw.set(step.value, size); // throws beyond the end
+  } catch {
+    reader.cancel().catch(() => {});
+    throw damaged(`the column ${name} cannot be unpacked, or is longer than its Gaussians need`);
+  }
+  return raw.subarray(0, size);
 }

@@ -12,10 +12,10 @@ const { ACTIVATIONS, APPEARANCES, DECODER, DECODES, TEMPORAL } = LIBRARY.kinds;
 const MOST_NUMBERS = 2 ** 28; // of a model, a GiB of them: equal numbers take next to nothing in a file
 
 /** {count, kinds, arrays} of a file's bytes; progress is called with 0..1. */
-export function readModel(bytes, progress) {
+export async function readModel(bytes, progress) {
   const file = new TensorFile(bytes), about = described(file.metadata["fast-gs"]);
   const kinds = kindsOf(about.model, file);
-  if (about.version === COMPRESSED) return { kinds, ...compressed(file, about.compressed, kinds, progress) };
+  if (about.version === COMPRESSED) return { kinds, ...(await compressed(file, about.compressed, kinds, progress)) };
   const entry = file.entries.get("position"), count = entry ? entry.shape[0] : 0;
   const arrays = {};
   for (const [name, shape] of Object.entries(arrayShapes(kinds, count))) {
@@ -73,7 +73,7 @@ function arrayShapes({ terms, turns, logarithms, width }, n) {
            rotation_motion: [n, turns, 4], mu_tau: [n], temporal: [n, logarithms.length] };
 }
 
-function compressed(file, about, kinds, progress) {
+async function compressed(file, about, kinds, progress) {
   const { count: counts, steps, blocks } = isTable(about) ? about : {};
   const lists = [counts, steps, blocks].every((list) => Array.isArray(list) && list.length === counts.length);
   if (!lists) throw damaged("its header does not say which segments its model has");
@@ -88,7 +88,7 @@ function compressed(file, about, kinds, progress) {
   const arrays = Object.fromEntries(sizes.map(([name, size]) => [name, new Float32Array(size)]));
   let first = 0;
   for (const part of parts) {
-    restore(columnsOf(part, kinds), part.steps, kinds, arrays, first);
+    restore(await columnsOf(part, kinds), part.steps, kinds, arrays, first);
     first += part.count;
     progress(first / total);
   }
@@ -96,7 +96,7 @@ function compressed(file, about, kinds, progress) {
 }
 
 /** The columns of a segment by name: compressed.columns_of(). */
-function columnsOf({ data, count, steps, blocks }, kinds) {
+async function columnsOf({ data, count, steps, blocks }, kinds) {
   const four = kinds.turns && !kinds.turning.centred;
   const widths = { shape: 1, tint: 1, life: 1, scale: 3, opacity: 1, features: kinds.width, mu_tau: 1, motion: 3 * kinds.terms, position: 3,
                    rotation_motion: 4 * kinds.turns, rotation: four ? 4 : 3 };
@@ -114,7 +114,7 @@ function columnsOf({ data, count, steps, blocks }, kinds) {
     for (let k = 0; k < widths[name]; k++) {
       const about = block(blocks[listed++], `${name}/${k}`, order);
       if (about.size > data.length - at) throw damaged(`the column ${name}/${k} is cut short`);
-      const column = unpacked(data.subarray(at, at + about.size), about, count, order);
+      const column = await unpacked(data.subarray(at, at + about.size), about, count, order);
       codes[name].push(column);
       order.follow(column, about.centre);
       at += about.size;

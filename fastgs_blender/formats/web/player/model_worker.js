@@ -5,9 +5,9 @@ import { Service } from "./service.js";
 
 const service = new Service();
 
-self.onmessage = ({ data: { number, name, given } }) => {
+self.onmessage = async ({ data: { number, name, given } }) => {
   try {
-    const answer = service[name](given, (progress) => self.postMessage({ number, progress }));
+    const answer = await service[name](given, (progress) => self.postMessage({ number, progress }));
     const buffers = ["texels", "list"].map((key) => answer && answer[key] && answer[key].buffer).filter(Boolean);
     self.postMessage({ number, answer }, buffers);
   } catch (error) {

@@ -11,15 +11,16 @@ export class Service {
   }
 
   /** Reads the files of models, by their numbers; returns what is to be known of each: its kinds, how many Gaussians it has, and where most of them are. */
-  open({ numbers, files }, progress) {
-    const total = files.reduce((sum, { length }) => sum + length, 0);
+  async open({ numbers, files }, progress) {
+    const total = files.reduce((sum, { length }) => sum + length, 0), found = [];
     let done = 0;
-    return files.map((file, k) => {
-      const model = readModel(file, (share) => progress((done + share * file.length) / total)), { count, kinds, arrays } = model;
+    for (const [k, file] of files.entries()) {
+      const model = await readModel(file, (share) => progress((done + share * file.length) / total)), { count, kinds, arrays } = model;
       this.models[numbers[k]] = { ...model, ...prepared(model) };
       done += file.length;
-      return { count, kinds: plain(kinds), span: span(arrays.position) };
-    });
+      found.push({ count, kinds: plain(kinds), span: span(arrays.position) });
+    }
+    return found;
   }
 
   /** Forgets models. */

@@ -13,7 +13,7 @@ from fastgs_blender.formats.web.page import PLAYER
 pytestmark = pytest.mark.skipif(not shutil.which("node"), reason="node is not installed; tests/blender drives pages in a browser")
 START = """
 import * as orbit from "./orbit.js"; import * as address from "./address.js"; import { Clock, Sound } from "./clock.js";
-import { shown } from "./controls.js"; import { Sharpness } from "./sharpness.js"; import { checksum } from "./data.js";
+import { shown } from "./controls.js"; import { Sharpness } from "./sharpness.js"; import { checksum } from "./checksum.js";
 const view = {pivot: [1, 2, 3], yaw: -60, pitch: 20, roll: 0, distance: 4}, up = [0, 0, 1];
 const lens = {fx: 500, fy: 500, cx: 320, cy: 180, width: 640, height: 360, orthographic: false, of: 1};
 const said = (value) => console.log(JSON.stringify(value, (_, each) => (each instanceof Float64Array ? [...each] : each)));
