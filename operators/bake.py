@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Object > Bake to 4D Gaussians: turns animated objects into a model, without training."""
 import time
-from contextlib import closing
 from pathlib import Path
 
 import bpy
@@ -9,6 +8,7 @@ from bpy.props import BoolProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
 from .. import fastgs_blender as fg
+from ..scene.background import relayed
 from ..scene.meshes.baking import bake_steps
 from ..scene.meshes.options import BakeOptions, bake_options
 from ..scene.meshes.surface import bakeable
@@ -74,16 +74,10 @@ class FASTGS_OT_bake(Stepwise, BakeOptions, bpy.types.Operator, ExportHelper):
         objects = [obj for obj in context.selected_objects if bakeable(obj)]
         self._sources = [obj.name for obj in objects]
         settings = bake_options(**{name: getattr(self, name) for name in BakeOptions.__annotations__})
-        with closing(bake_steps(context, objects, settings, self.in_window)) as steps:
-            while True:
-                try:
-                    done, stage = next(steps)
-                    yield done, 1, stage
-                except StopIteration as end:
-                    return end.value
-                except MemoryError:
-                    raise fg.FastGSError(
-                        "there is too little memory for this bake; bake fewer Gaussians, frames or objects at once.") from None
+        try:
+            return (yield from relayed(bake_steps(context, objects, settings, self.in_window), lambda step: (step[0], 1, step[1])))
+        except MemoryError:
+            raise fg.FastGSError("there is too little memory for this bake; bake fewer Gaussians, frames or objects at once.") from None
 
     def finish(self, context, result):
         model, report, notes = result

@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """File > Export > 4D Gaussians: Web Page: the scene's splats as one HTML file that plays them."""
 import tempfile
-from contextlib import closing
 from pathlib import Path
 
 import bpy
@@ -15,7 +14,7 @@ from ..fastgs_blender.formats import web
 from ..fastgs_blender.formats.web.long import compressed_clips, in_pieces
 from ..fastgs_blender.formats.web.page import Page
 from ..scene import objects, web_scene
-from ..scene.background import in_background
+from ..scene.background import in_background, relayed
 from .action import draw_options
 from .exporting import Exporting
 
@@ -103,26 +102,15 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
         if self.frame_end < self.frame_start:
             raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
         self._remarks += [f"The page does not show: {text}." for text in web_scene.not_kept(context)]
-        shown, eyes, paths = yield from self._sampled(context)
+        sampling = web_scene.sampled(context, self.frame_start, self.frame_end, self._chosen, self.move)
+        shown, eyes, paths = yield from relayed(sampling, lambda step: (*step, "reading frames"))
         page = self._page(context, target, shown, eyes)
         level = web.Loss.of(LEVELS[self.quality])
         kept = {} if self.quality == 'SMALL' else self._kept(context, page)
         clips = {stands: Path(path) for stands, path in paths.items()}
-        steps = in_background(lambda progress: self._save(page, target, level, kept, clips, progress))
-        with closing(steps):
-            for share in steps:
-                yield share, 1, "compressing"
+        saving = in_background(lambda progress: self._save(page, target, level, kept, clips, progress))
+        yield from relayed(saving, lambda share: (share, 1, "compressing"))
         return f"a page of {target.stat().st_size / 1e6:.1f} MB to {target.name}"
-
-    def _sampled(self, context):
-        steps = web_scene.sampled(context, self.frame_start, self.frame_end, self._chosen, self.move)
-        with closing(steps):
-            while True:
-                try:
-                    done, whole = next(steps)
-                except StopIteration as end:
-                    return end.value
-                yield done, whole, "reading frames"
 
     def _page(self, context, target: Path, shown, eyes) -> Page:
         """The page of what was sampled, but for its poster."""

@@ -2,7 +2,6 @@
 """File > Export > 4D Gaussians: a frame or a range of frames as static files, or the active object's whole model."""
 from __future__ import annotations
 
-from contextlib import closing
 from pathlib import Path
 
 import bpy
@@ -135,10 +134,7 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         with self.listening():
             model = _model(context) if self.content == 'MODEL' else self._shown(context)[0]
         level = LEVELS.get(self.moving_format) if self.content == 'MODEL' else None
-        steps = in_background(lambda progress: self._save(model, target, level, progress))
-        with closing(steps):
-            for share in steps:
-                yield share, 1
+        yield from in_background(lambda progress: self._save(model, target, level, progress))
         return f"{len(model):,} Gaussians"
 
     def _write_range(self, context, target: Path):

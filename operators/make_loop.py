@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Make Loop: finds the best cut of a clip and lets the object play it over and over."""
-from contextlib import closing
 from functools import partial
 
 import bpy
@@ -9,7 +8,7 @@ from bpy.props import BoolProperty, FloatProperty
 from ..fastgs_blender.stitching.loops import find_loop
 from ..fastgs_blender.util.errors import FastGSError
 from ..scene import stitching
-from ..scene.background import in_background
+from ..scene.background import in_steps
 from .action import EDITABLE_SPLATS, OBJECT_MODE, Need
 from .stepwise import Stepwise
 
@@ -36,15 +35,7 @@ class FASTGS_OT_make_loop(Stepwise, bpy.types.Operator):
         stitching.check_loop(obj)
         source, settings = stitching.looped(obj, context.evaluated_depsgraph_get())
         work = partial(find_loop, source, least=self.least or None, fade=self.fade, settings=settings)
-        if not self.in_window:
-            yield 0.0
-            return obj, work()
-        with closing(in_background(lambda progress: work(progress=progress))) as steps:
-            while True:
-                try:
-                    yield next(steps)
-                except StopIteration as end:
-                    return obj, end.value
+        return obj, (yield from in_steps(lambda progress: work(progress=progress), self.in_window))
 
     def finish(self, context, result):
         obj, found = result

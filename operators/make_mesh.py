@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operator that makes a mesh of a splat object's surface."""
 import time
-from contextlib import closing
 from functools import partial
 
 import bpy
@@ -9,7 +8,7 @@ from bpy.props import EnumProperty, IntProperty
 
 from ..fastgs_blender.surfaces.making import make_mesh
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene.background import in_background
+from ..scene.background import in_steps
 from ..scene.meshes import moving_mesh
 from .action import EDITABLE_SPLATS, OBJECT_MODE
 from .stepwise import Stepwise
@@ -42,15 +41,7 @@ class FASTGS_OT_make_mesh(Stepwise, bpy.types.Operator):
         obj = context.object
         model, t = moving_mesh.shown(obj, context.evaluated_depsgraph_get())
         work = partial(make_mesh, model, t, detail=self.detail, closed=self.shape == 'CLOSED', smoothing=self.smoothing)
-        if not self.in_window:
-            yield 0.0
-            return obj, model, work()
-        with closing(in_background(lambda progress: work(progress=progress))) as steps:
-            while True:
-                try:
-                    yield next(steps)
-                except StopIteration as end:
-                    return obj, model, end.value
+        return obj, model, (yield from in_steps(lambda progress: work(progress=progress), self.in_window))
 
     def finish(self, context, result):
         obj, model, meshes = result

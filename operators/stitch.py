@@ -1,6 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """The operators that put two captures together: aligning them by their surfaces, grading one to the other, fading one into the other."""
-from contextlib import closing
 
 import bpy
 from bpy.props import BoolProperty, FloatProperty
@@ -8,7 +7,7 @@ from bpy.props import BoolProperty, FloatProperty
 from ..fastgs_blender.stitching.fitting import align
 from ..fastgs_blender.stitching.grading import match_grade
 from ..scene import stitching
-from ..scene.background import in_background
+from ..scene.background import in_steps
 from .action import OBJECT_MODE, Action, Need
 from .stepwise import Stepwise
 
@@ -35,15 +34,7 @@ class _OfTwo(Stepwise):
         self.precheck(obj, fixed)
         depsgraph = context.evaluated_depsgraph_get()
         pair = stitching.shown(obj, depsgraph), stitching.shown(fixed, depsgraph)
-        if not self.in_window:
-            yield 0.0
-            return obj, fixed, self.work(*pair, None)
-        with closing(in_background(lambda progress: self.work(*pair, progress))) as steps:
-            while True:
-                try:
-                    yield next(steps)
-                except StopIteration as end:
-                    return obj, fixed, end.value
+        return obj, fixed, (yield from in_steps(lambda progress: self.work(*pair, progress), self.in_window))
 
 
 class FASTGS_OT_align_overlap(_OfTwo, bpy.types.Operator):

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Long work that needs no Blender, in a thread of its own, while Blender is asked for the next step."""
+"""Long work in steps, and work that needs no Blender in a thread of its own, while Blender is asked for the next step."""
 import threading
+from contextlib import closing
 
 WAIT = 0.1
 """Seconds between two looks at the thread that works."""
@@ -41,3 +42,22 @@ def in_background(work, cancel: bool = True):
     if "error" in state:
         raise state["error"]
     return state["result"]
+
+
+def in_steps(work, apart: bool):
+    """in_background() if the work is to be done `apart` from Blender, else at once: yields the share that is done, returns the result."""
+    if apart:
+        return (yield from in_background(work))
+    yield 0.0
+    return work(None)
+
+
+def relayed(steps, shown):
+    """Yields shown(step) for each step of a generator, which is closed with this one, and returns what that returns."""
+    with closing(steps):
+        while True:
+            try:
+                step = next(steps)
+            except StopIteration as end:
+                return end.value
+            yield shown(step)

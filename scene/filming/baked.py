@@ -9,6 +9,7 @@ import bpy
 from ... import fastgs_blender as fg
 from ...fastgs_blender.captures.layouts.fastgs import BAKE
 from ...fastgs_blender.util.errors import FastGSError
+from ..background import relayed
 from ..meshes.baking import bake_steps
 from ..meshes.options import bake_options
 
@@ -30,10 +31,8 @@ def bake_filmed_steps(studio, plan, names: set[str], fps: float, out: Path):
     options = bake_options(frame_start=plan.frame_start, frame_end=last, count=COUNT)
     steps = bake_steps(context, objects, options, apart=not bpy.app.background)
     try:
-        while True:
-            yield next(steps)[0]
-    except StopIteration as end:
-        fg.save(replace(end.value[0], clip=fg.Clip(count, fps, 1)), path)
+        model, *_ = yield from relayed(steps, lambda step: step[0])
     except FastGSError as error:
         return f"training cannot begin with the shape of the objects: {error}"
+    fg.save(replace(model, clip=fg.Clip(count, fps, 1)), path)
     return None

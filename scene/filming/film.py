@@ -17,6 +17,7 @@ from ...fastgs_blender.util.outputs import replacing
 from ...fastgs_blender.util.picture_files import read_exr, write_exr, write_png
 from ...fastgs_blender.util.reading import read_json
 from .. import arrays
+from ..background import relayed
 from .baked import bake_filmed_steps
 from .studio import Studio
 from .subject import find
@@ -82,17 +83,9 @@ def film_steps(scene: bpy.types.Scene, plan: Plan, out):
                 notes.add("the render engine gives no depth, so there are no starting points from it")
             _write(out, view, f"{number + 1:04}", picture)
         _write_points(out, plan, views)
-        note = yield from _baked(bake_filmed_steps(studio, plan, subject.everything, _rate(scene, plan), out))
+        baking = bake_filmed_steps(studio, plan, subject.everything, _rate(scene, plan), out)
+        note = yield from relayed(baking, lambda share: (round(100 * share), 100, "Baking"))
     return sorted(notes | ({note} if note else set()))
-
-
-def _baked(steps):
-    """Yields the shares of a bake as a film's progress; returns the bake's note."""
-    while True:
-        try:
-            yield round(100 * next(steps)), 100, "Baking"
-        except StopIteration as end:
-            return end.value
 
 
 def _rate(scene, plan) -> float:

@@ -1,14 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Bakes animated objects into a model of 4D Gaussians, step by step: surfaces, colours and light first, then the fit of their motion."""
 import warnings
-from contextlib import closing
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
 
 from ...fastgs_blender.surfaces.bake import bake, followed, surface_colours, surface_samples
-from ..background import in_background
+from ..background import in_steps, relayed
 from ..frame_range import frame_kept, go_to
 from . import baked_light
 from .material_colour import MaterialColours
@@ -78,8 +77,8 @@ def bake_steps(context, objects, options, apart: bool):
         materials = MaterialColours(recorder.pieces)
         painted = surface_colours(materials, positions, triangles, samples)
         if options.lighting == 'CYCLES':
-            lit = yield from _during(LIGHT, baked_light.apply(context, recorder, times, painted.rgba, samples, options.light_samples,
-                                                              options.light_frames))
+            lit = yield from relayed(baked_light.apply(context, recorder, times, painted.rgba, samples, options.light_samples,
+                                                       options.light_frames), LIGHT.at)
             painted = replace(painted, rgba=lit)
     patch, fps = recorder.patches(), scene.render.fps / scene.render.fps_base
     provenance = {"objects": ", ".join(obj.name for obj in objects)[:1000]}
@@ -108,19 +107,6 @@ def _record(recorder, times, stage):
         yield stage.at((number + 1) / len(times))
 
 
-def _during(stage, steps):
-    """Yields the shares 0..1 of a stage as those of the whole; returns its result."""
-    with closing(steps):
-        while True:
-            try:
-                yield stage.at(next(steps))
-            except StopIteration as stop:
-                return stop.value
-
-
 def _run(work, apart, stage):
     """Yields progress while work(progress) runs, apart from Blender where that is wanted, and returns its result."""
-    yield stage.at(0.0)
-    if not apart:
-        return work(None)
-    return (yield from _during(stage, in_background(work)))
+    return (yield from relayed(in_steps(work, apart), stage.at))
