@@ -115,8 +115,8 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
                 spent = time.perf_counter() - began
                 seconds += spent
                 picture = _judged(picture, truth, valid, fit_colours)
-                told = None if known is None else known.saw(view, clock(shot)[1], model.clip.frame_count)
-                row = {"view": view, "frame": shot.frame, "t": t, "trained_on": told,
+                trained_on = None if known is None else known.saw(view, clock(shot)[1], model.clip.frame_count)
+                row = {"view": view, "frame": shot.frame, "t": t, "trained_on": trained_on,
                        "milliseconds": round(1000 * spent, 3),
                        **_measures(picture, truth, foreground, valid, perceptual, flip, fit_colours)}
                 if before is not None and before[0] == shot.frame - 1 and before[1].shape == picture.shape:

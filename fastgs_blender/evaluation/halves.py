@@ -29,12 +29,12 @@ def fitted(picture: np.ndarray, truth: np.ndarray, counts: np.ndarray | None = N
     """
     half = middle(picture)
     result = picture.copy()
-    for told, changed in ((np.s_[:, :half], np.s_[:, half:]), (np.s_[:, half:], np.s_[:, :half])):
-        found = _fit(picture[told], truth[told], None if counts is None else np.asarray(counts)[told])
+    for fitted, measured in ((np.s_[:, :half], np.s_[:, half:]), (np.s_[:, half:], np.s_[:, :half])):
+        found = _fit(picture[fitted], truth[fitted], None if counts is None else np.asarray(counts)[fitted])
         if found:
-            shown = picture[changed]
+            shown = picture[measured]
             exposed = shown * found[0] + found[1]
-            result[changed] = np.where(shown < CLIPPED, exposed, np.maximum(exposed, shown))
+            result[measured] = np.where(shown < CLIPPED, exposed, np.maximum(exposed, shown))
     return result
 
 

@@ -37,8 +37,8 @@ def table(result: dict) -> str:
 
     head = line("view", "frame", [COLUMNS[name][0] for name in names])
     rule = "-" * len(head)
-    told = ["the colours of each half of a picture are fitted on its other half:"] if result.get("fit_colours") else []
-    return "\n".join([*told, head, *(line(view, frame, cells(values)) for view, frame, values in rows), rule,
+    remarks = ["the colours of each half of a picture are fitted on its other half:"] if result.get("fit_colours") else []
+    return "\n".join([*remarks, head, *(line(view, frame, cells(values)) for view, frame, values in rows), rule,
                       *(line(view, frame, cells(values)) for view, frame, values in averages)])
 
 

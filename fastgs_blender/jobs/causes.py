@@ -28,8 +28,8 @@ def sentence(reason: str | None, printed: str, code: int | None, out: str, what:
     lines = [line.strip() for line in printed.splitlines() if line.strip()]
     if reason is None and code is not None and (code < 0 or code >= CRASHED):
         return _ended(subject, code, fewer, again, out)
-    told = lines and lines[-1].startswith(PREFIX) and code in (None, FAILED)
-    known = reason or (lines[-1].removeprefix(PREFIX) if told else "")
+    explained = lines and lines[-1].startswith(PREFIX) and code in (None, FAILED)
+    known = reason or (lines[-1].removeprefix(PREFIX) if explained else "")
     everything = reason or printed
     if any(word in everything for word in MEMORY):
         return f"{subject} ran out of memory: close other programs{fewer}; {again}."
