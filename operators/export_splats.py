@@ -13,6 +13,7 @@ from .. import fastgs_blender as fg
 from ..fastgs_blender import formats
 from ..fastgs_blender.formats.scenes import as_seen
 from ..fastgs_blender.formats.usd import save_samples
+from ..fastgs_blender.model.chapters import Chapters
 from ..scene import objects, snapshot
 from ..scene.background import in_background
 from ..scene.splats import parting
@@ -107,6 +108,9 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         """What the chosen format cannot hold of what would be written, found on a few Gaussians of each object."""
         if self.content == 'MODEL':
             model = _model(context)
+            if isinstance(model, Chapters):
+                formats.writer_of_chapters(Path("x" + self.extension))
+                model = model.moment(0.0)[0]
             return self._writer(few(model)).losses(few(model))
         model, lost = self._shown(context, lambda instance: instance.part(some(instance.model)))
         return list(dict.fromkeys([*lost, *self._writer(model).losses(model)]))
@@ -179,11 +183,14 @@ def some(model: fg.GaussianModel) -> np.ndarray:
     return np.arange(0, len(model), max(1, len(model) // SAMPLE))
 
 
-def _model(context) -> fg.GaussianModel:
-    """The active object's model; raises FastGSError where it has none."""
+def _model(context) -> fg.GaussianModel | Chapters:
+    """The active object's model, or its clip in chapters; raises FastGSError where it has none."""
     obj = context.object
     if obj is None or not objects.is_splat(obj):
         raise fg.FastGSError("the active object shows no splats; make the object active whose model is to be exported.")
-    if not isinstance(objects.source_of(obj), fg.GaussianModel):
+    source = objects.source_of(obj)
+    if isinstance(source, Chapters):
+        return source
+    if not isinstance(source, fg.GaussianModel):
         raise fg.FastGSError(f"{obj.name} shows a sequence, which is no one model; export its frames, or fit a model with fastgs convert.")
     return parting.with_parts_joined(obj)

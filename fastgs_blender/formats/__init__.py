@@ -165,7 +165,7 @@ def save(model: GaussianModel | Chapters, path: str | os.PathLike, compress: flo
         if not isinstance(model, (GaussianModel, Chapters)):
             raise FastGSError(f"a {type(model).__name__} is no GaussianModel.")
         chosen: dict[str, Any] = {"progress": progress} | ({} if compress is None else {"loss": Loss.of(compress)})
-        writer = _writer_of_chapters(path) if isinstance(model, Chapters) else writer_of(model, path)
+        writer = writer_of_chapters(path) if isinstance(model, Chapters) else writer_of(model, path)
         if isinstance(writer, (Native, WebPage)):
             writer = replace(writer, **chosen)
         elif compress is not None:
@@ -193,7 +193,8 @@ def _written(writer: Format, model: GaussianModel, path: Path) -> list[str]:
     return lost + writer.lost_cameras(model) + writer.lost_parts(model)
 
 
-def _writer_of_chapters(path: Path) -> Native | WebPage:
+def writer_of_chapters(path: Path) -> Native | WebPage:
+    """The format that save() writes a clip in chapters in; raises FastGSError for a name of a format that holds none."""
     found = next((known for known in (Native(), WebPage()) if path.suffix.lower() in known.extensions), None)
     if found is None:
         raise FastGSError("only .safetensors files and pages (.html) hold a clip in chapters; choose such a name, or convert a frame of it "

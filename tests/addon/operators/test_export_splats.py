@@ -82,6 +82,23 @@ def test_the_whole_model(fg, make_model, model_file, tmp_path):
 
 
 @pytest.mark.slow
+def test_a_clip_in_chapters_stays_one(fg, exporter, make_model, tmp_path):
+    model = make_model(20, basis=fg.Polynomial(1), motion=np.ones((20, 1, 3)), axes="RFU", clip=fg.Clip(20, 24.0))
+    fg.save(fg.chapters(model, frames=10), tmp_path / "long.safetensors")
+    bpy.ops.import_scene.fastgs(filepath=str(tmp_path / "long.safetensors"))
+    bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "again.safetensors"), content='MODEL')
+    again = fg.open_source(tmp_path / "again.safetensors")
+    assert len(again.chapters) == 2 and again.clip.frame_count == 20
+    assert np.array_equal(again.moment(0.5)[0].position, model.position)
+    asked = exporter()
+    asked.content, asked.moving_format = 'MODEL', 'OWN'
+    assert asked.losses(bpy.context) == []
+    asked.moving_format = 'STG'
+    with pytest.raises(fg.FastGSError, match="clip in chapters"):
+        asked.losses(bpy.context)
+
+
+@pytest.mark.slow
 def test_compressing_shows_how_far_it_is_and_can_be_broken_off(module, exporter, make_model, model_file, monkeypatch, tmp_path):
     background = module("scene.background")
     monkeypatch.setattr(background, "WAIT", 0.002)
