@@ -67,7 +67,7 @@ class Step:
         picture = backend.forward(arrays, self.model, self.camera, TIME)
         difference = backend.compare(picture, self.target, None, None, 0.2, 0.0, 1.0)
         gradients = backend.backward(picture, difference.rgb, difference.alpha, statistics=self.statistics,
-                                          error=difference.error, seen=seen)
+                                          emphasis=difference.emphasis, seen=seen)
         rows = backend.rows(seen)
         since = self.optimiser.steps_since_update(rows)
         backend.motion_penalty(self.norm, arrays["motion"], gradients["motion"], 0.1, since)

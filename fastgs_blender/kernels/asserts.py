@@ -78,10 +78,10 @@ def over(picture: Any, background: Any) -> None:
     shapes((picture.rgb, "h w 3"), (picture.alpha, "h w"), (background, "3"))
 
 
-def backward(picture: Any, rgb: Any, alpha: Any, depth: Any, into: Any, statistics: Any, error: Any, seen: Any) -> None:
+def backward(picture: Any, rgb: Any, alpha: Any, depth: Any, into: Any, statistics: Any, emphasis: Any, seen: Any) -> None:
     """TrainingBackend.backward()."""
     sums = () if statistics is None else (statistics.gradient, statistics.absolute, statistics.seen, statistics.radius)
-    shapes((picture.alpha, "h w"), (rgb, "h w 3"), (alpha, "h w"), (depth, "h w"), (error, "h w"), (seen, "n"),
+    shapes((picture.alpha, "h w"), (rgb, "h w 3"), (alpha, "h w"), (depth, "h w"), (emphasis, "h w"), (seen, "n"),
            *((array, "n") for array in sums),
            *((array, "n ...") for name, array in (into or {}).items() if name not in DECODER), *_decoder(into or {}))
 

@@ -140,16 +140,16 @@ class ForwardPass:
 class Comparison:
     """The loss of a picture against its target, and its gradients.
 
-    values  [4] float64: loss, mean absolute difference, SSIM, mean squared difference
-    rgb     d (share * loss) / d rgb [h, w, 3]
-    alpha   the same of alpha [h, w], beside what comes through rgb; None: zeros
-    error   each pixel's weighted absolute difference over the picture's mean of it [h, w]
+    values    [4] float64: loss, mean absolute difference, SSIM, mean squared difference
+    rgb       d (share * loss) / d rgb [h, w, 3]
+    alpha     the same of alpha [h, w], beside what comes through rgb; None: zeros
+    emphasis  [h, w]: the root of each pixel's weighted absolute difference over the picture's mean of it
     """
 
     values: Array
     rgb: Array
     alpha: Array | None
-    error: Array
+    emphasis: Array
 
 
 class ScreenStatistics(Protocol):
@@ -225,13 +225,13 @@ class TrainingBackend(PictureBackend, Protocol):
         """
 
     def backward(self, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
-                 into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, error: Array | None = None,
+                 into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, emphasis: Array | None = None,
                  seen: Array | None = None, detach_time: bool = False) -> dict[str, Array]:
         """d loss / d parameters by name, [N, ...], from d loss / d rgb [h, w, 3], alpha [h, w] and depth [h, w] (None: zeros).
 
         into         the gradients [N, ...] of the step's earlier views, by name, to which these are added; returned again
         statistics   to which this view is added
-        error        [h, w], by which each pixel's absolute gradients are multiplied in the statistics; None: 1
+        emphasis     [h, w], by which each pixel's absolute gradients are multiplied in the statistics; None: 1
         seen         [N] in which the Gaussians that were drawn become 1
         detach_time  mu_tau's gradient comes through the temporal opacity alone, as STG trains
         """

@@ -104,9 +104,9 @@ def gather_splat(context, state, visited, place, lines, centre, slopes, attribut
                 sums[EU_Y].add(eu * dy)
                 sums[E_Y].add(ey)
                 sums[E_YY].add(ey * dy)
-                error = state.floats(pixel, (GRADIENT + count + 1) * PIXELS)
-                sums[ABS_X].add(eu.magnitude() * error)
-                sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude() * error)
+                emphasis = state.floats(pixel, (GRADIENT + count + 1) * PIXELS)
+                sums[ABS_X].add(eu.magnitude() * emphasis)
+                sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude() * emphasis)
         begin, width = b.mul(args[10], whole(columns(count))), columns(count)
         values = [s.value() for s in sums] + [simd.constant(b, 0.0)] * (width - len(sums))
         for i in range(0, width, simd.LANES):
@@ -123,11 +123,11 @@ def rasteriser_backward(channels: int, band: float = 0.0):
     planes = GRADIENT + channels + 2
 
     def rasterise_backward(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, trace,
-                           grad_out, grad_alpha, error, ends, rows):
+                           grad_out, grad_alpha, emphasis, ends, rows):
         """Tiles first..last as in raster.py.
 
         trace [h, 2 w]: what the forward pass left; grad_out [h, w, C], grad_alpha [h, w]: d loss / d what it drew.
-        error [h, w]: by which absolute values are multiplied.
+        emphasis [h, w]: by which absolute values are multiplied.
         rows [entries, columns()]: the sums of each entry of ids, written for each tile's first ends[tile] entries; the others'
         splats lie behind all that the tile shows.
         """
@@ -148,7 +148,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
                     for c in range(channels):
                         state[(GRADIENT + c) * PIXELS + p] = grad_out[i, j, c]
                     state[(GRADIENT + channels) * PIXELS + p] = grad_alpha[i, j]
-                    state[(GRADIENT + channels + 1) * PIXELS + p] = error[i, j]
+                    state[(GRADIENT + channels + 1) * PIXELS + p] = emphasis[i, j]
             ends[tile] = int(farthest) + 1
             for k in range(starts[tile] + ends[tile] - 1, starts[tile] - 1, -1):
                 i = np.intp(ids[k])

@@ -115,7 +115,7 @@ class RasterGradients:
     """d loss / d splats, for the M rows of geometry and attributes; zeros for splats that were not drawn.
 
     geometry [M, 5] float64, log2_opacity [M] float32, channels [M, C] float32
-    absolute [M, 2] float32: sums over pixels of |d loss / d mean_x| and |d loss / d mean_y|, times the pixel's error
+    absolute [M, 2] float32: sums over pixels of |d loss / d mean_x| and |d loss / d mean_y|, times the pixel's emphasis
     """
 
     geometry: np.ndarray
@@ -135,15 +135,15 @@ def rasterise_forward(order, geometry, attributes, channels: int, camera: Camera
     return Picture(out, alpha, {}), RasterState(order, geometry, attributes, float(band), listing, lists if whole else None, trace)
 
 
-def rasterise_backward(state: RasterState, grad_channels, grad_alpha, error=None) -> RasterGradients:
-    """From d loss / d channels [h, w, C] and d loss / d alpha [h, w] to d loss / d splats (raster_backward.py); error [h, w]: None is 1.
+def rasterise_backward(state: RasterState, grad_channels, grad_alpha, emphasis=None) -> RasterGradients:
+    """From d loss / d channels [h, w, C] and d loss / d alpha [h, w] to d loss / d splats (raster_backward.py); emphasis [h, w]: None is 1.
 
     The same bytes for any number of threads.  Besides the gradients it holds at most BACKWARD_BYTES of sums at a time.
     """
     rows, channels = len(state.geometry), state.attributes.shape[1] - raster.CHANNEL
     width, listing = raster_backward.columns(channels), state.listing
     grad_channels, grad_alpha = (np.ascontiguousarray(g, np.float32) for g in (grad_channels, grad_alpha))
-    error = np.ones(grad_alpha.shape, np.float32) if error is None else np.ascontiguousarray(error, np.float32)
+    emphasis = np.ones(grad_alpha.shape, np.float32) if emphasis is None else np.ascontiguousarray(emphasis, np.float32)
     sums = np.zeros((rows, width), np.float32)
     ends = np.zeros(listing.counts.shape[1], np.int64)
     kernel = raster_backward.rasteriser_backward(channels, state.band)
@@ -154,7 +154,7 @@ def rasterise_backward(state: RasterState, grad_channels, grad_alpha, error=None
         starts, ids = state.lists or list_tiles(listing.segments, listing.counts, first, last)
         begin, end = starts[first], starts[last]
         rest = (*listing.frame, starts - begin, ids[begin:end], state.geometry, state.attributes, state.trace, grad_channels, grad_alpha,
-                error, ends, entries)
+                emphasis, ends, entries)
         run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last))
         band_starts, cursors = tile_cursors(listing.counts, first, last)
         rest = (band_starts, ends, entries, sums)

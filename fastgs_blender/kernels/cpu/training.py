@@ -75,7 +75,7 @@ def compare(picture: ForwardPass, target: np.ndarray, weight: np.ndarray | None,
         grad_alpha = -through if grad_alpha is None else grad_alpha - through
     square = float(np.square(rgb - target).mean())
     error = np.abs(rgb - target).mean(-1) / np.float32(max(l1, LEAST_MEAN))
-    return Comparison(np.array([loss, l1, ssim, square]), grad_rgb, grad_alpha, error if weight is None else error * weight)
+    return Comparison(np.array([loss, l1, ssim, square]), grad_rgb, grad_alpha, np.sqrt(error if weight is None else error * weight))
 
 
 def _over(picture: ForwardPass, background: np.ndarray | None) -> np.ndarray:
@@ -110,9 +110,9 @@ def agreement(picture: ForwardPass, target: np.ndarray, weight, least, backgroun
     return np.concatenate([np.stack(colour, -1).ravel(), clock])
 
 
-def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, statistics=None, error=None, seen=None, detach_time=False):
+def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, statistics=None, emphasis=None, seen=None, detach_time=False):
     """TrainingBackend.backward()."""
-    asserts.backward(picture, rgb, alpha, depth, into, statistics, error, seen)
+    asserts.backward(picture, rgb, alpha, depth, into, statistics, emphasis, seen)
     view: View = picture.state
     camera, appearance = view.instance.camera, view.instance.model.appearance
     gradients = {}
@@ -133,7 +133,7 @@ def backward(picture: ForwardPass, rgb, alpha=None, depth=None, *, into=None, st
     if depth is not None and view.layout.depth is not None:
         channels[..., view.layout.depth] += depth
     alpha = np.zeros(picture.alpha.shape, np.float32) if alpha is None else alpha
-    splats = rasterise_backward(view.raster, channels, alpha, error)
+    splats = rasterise_backward(view.raster, channels, alpha, emphasis)
     if statistics is not None:
         add_view(statistics, view.splats, splats, camera)
     if seen is not None:

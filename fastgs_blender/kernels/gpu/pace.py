@@ -90,7 +90,7 @@ def _steps(backend: CPU, model: GaussianModel, camera: Camera) -> Work:
         goal, seen = backend.picture(target.astype(np.float32) / 255, target), backend.zeros((n,))
         picture = backend.forward(values, model, camera, TIME)
         loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
-        slopes = backend.backward(picture, loss.rgb, loss.alpha, statistics=gathered, error=loss.error, seen=seen)
+        slopes = backend.backward(picture, loss.rgb, loss.alpha, statistics=gathered, emphasis=loss.emphasis, seen=seen)
         tensors = [(values[name], slopes[name], *moments[name], RATE, False) for name in values]
         backend.adam(backend.rows(seen), tensors, (0.9, 0.999), moved, next(number))
         return backend.end_step(loss.values)

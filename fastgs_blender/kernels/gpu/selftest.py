@@ -189,7 +189,7 @@ def _gradients(backend: CPU, look: Appearance, camera: Camera, n: int = N) -> di
     three = np.array([0.2, 0.3, 0.4], np.float32)
     agreement = backend.agreement(picture, goal, weight, least, three, 1 + three, three, sides, 0.1, 0.5, 0.1)
     depth = backend.array(np.full(stored.shape[:2], 1e-4, np.float32))
-    found = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, error=loss.error, seen=seen)
+    found = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, emphasis=loss.emphasis, seen=seen)
     found = backend.backward(picture, loss.rgb, loss.alpha, into=found)
     values = backend.end_step(loss.values, agreement)()
     if values is None:

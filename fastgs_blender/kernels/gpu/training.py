@@ -186,9 +186,9 @@ def compare(device: Device, picture: ForwardPass, target: Array, weight: Array |
         device.run("loss_slope", (last - first) * width, job(first, last, far, far), whole, target, weights, moments, by_rgb, by_alpha)
         device.run("add", 4, [[4, 0, 0, 0]], total(device, found), sums)
     device.run("loss_values", 1, [[float(numbers), dssim, opaque_weight, 0.0]], sums, values, groups=True)
-    error = device.empty((height, width))
-    device.run("loss_error", height * width, [[height * width, weight is not None, 0, 0]], whole, target, weights, sums, error)
-    return Comparison(values, by_rgb, None if background is None and not opaque_weight else by_alpha, error)
+    emphasis = device.empty((height, width))
+    device.run("emphasis", height * width, [[height * width, weight is not None, 0, 0]], whole, target, weights, sums, emphasis)
+    return Comparison(values, by_rgb, None if background is None and not opaque_weight else by_alpha, emphasis)
 
 
 def strips(device: Device, width: int, height: int) -> list[tuple[int, int]]:
@@ -212,10 +212,10 @@ def total(device: Device, values: Array) -> Array:
 
 
 def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
-             into: dict[str, Array] | None = None, statistics: Any = None, error: Array | None = None,
+             into: dict[str, Array] | None = None, statistics: Any = None, emphasis: Array | None = None,
              seen: Array | None = None, detach_time: bool = False) -> dict[str, Array]:
     """TrainingBackend.backward()."""
-    asserts.backward(picture, rgb, alpha, depth, into, statistics, error, seen)
+    asserts.backward(picture, rgb, alpha, depth, into, statistics, emphasis, seen)
     view: Seen = picture.state
     quads, channels, found = view.splats.quads, 3, {}
     height, width = view.camera.window[3], view.camera.window[2]
@@ -234,9 +234,9 @@ def backward(device: Device, picture: ForwardPass, rgb: Array | None, alpha: Arr
     for band, its_slopes in zip(view.bands, slopes, strict=True):
         pixels = math.prod(band.flat.shape[:2])
         start, rows = device.buffer(4 * (quads + 1) * pixels), device.buffer(4 * (quads + 2) * band.lists.entries)
-        job = [[pixels, done, channels, deep], [0 if channels == 9 else done, error is not None, 0, 0]]
+        job = [[pixels, done, channels, deep], [0 if channels == 9 else done, emphasis is not None, 0, 0]]
         device.run("raster_seed", pixels, job, band.flat, its_slopes, by_alpha, depth if deep else by_alpha,
-                   by_alpha if error is None else error, start, QUADS=quads)
+                   by_alpha if emphasis is None else emphasis, start, QUADS=quads)
         x0 = view.camera.window[0]
         device.run("raster_backward", band.lists.grid[2] * band.lists.grid[3], [[x0, band.top, x0 + width, band.bottom], band.lists.grid],
                    band.lists.lists, band.lists.values, band.splats.a, band.splats.b, band.splats.channels, start, rows, groups=True,

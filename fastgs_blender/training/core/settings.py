@@ -114,8 +114,8 @@ class Settings:
     densify_from: float = 0.05  # first and last step as fractions of the run, and steps between
     densify_until: float = 0.6
     densify_every: int = _number(100, 1, 10**8)
-    # the sum of the absolute gradients on the screen per pixel, which do not cancel where a Gaussian covers detail, times the pixel's
-    # error; or their sum, as 3DGS
+    # the sum of the absolute gradients on the screen per pixel, which do not cancel where a Gaussian covers detail, times the root
+    # of the pixel's error; or their sum, as 3DGS
     densify_gradient: str = _choice("absolute", "plain")
     densify_threshold: float = 2e-4  # of that gradient: above it Gaussians are cloned or split; in units of half the image's size
     densify_size: float = 0.01  # scale in extents: larger Gaussians are split, smaller ones cloned

@@ -13,8 +13,9 @@ class Statistics:
     """Sums over views, one number for each Gaussian of the current model, until a new one is begun; arrays of a backend.
 
     gradient  [N] float32  |d loss / d mean2d| in units of normalised device coordinates (pixels times half the image's size)
-    absolute  [N] float32  the same of sums over pixels of absolute values (AbsGS), each times the pixel's error over the picture's mean.
-                           For absolute differences of colour have slopes as long where a picture is nearly right as where all is wrong
+    absolute  [N] float32  the same of sums over pixels of absolute values (AbsGS), each times the pixel's emphasis, the root of its
+                           error over the picture's mean.  Slopes of absolute differences are as long where a picture is nearly right
+                           as where all is wrong
     seen      [N] float32  views in which the Gaussian was drawn
     radius    [N] float32  largest radius on the screen, of the box in which alpha reaches the cut, over the image's longer side
     """

@@ -220,7 +220,7 @@ class Trainer:
         for view in views:
             assert view.loss is not None
             gradients = self.backend.backward(view.picture, view.loss.rgb, view.loss.alpha, into=gradients, statistics=statistics,
-                                              error=view.loss.error, seen=seen, detach_time=True)
+                                              emphasis=view.loss.emphasis, seen=seen, detach_time=True)
         return gradients
 
     def _regularise(self, gradients: dict, rows: Any, since: Any) -> Any:

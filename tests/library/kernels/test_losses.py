@@ -70,7 +70,7 @@ def test_the_loss_of_a_picture_over_a_background(rng, background, opaque_weight,
     error = ((shown - torch.tensor(target)) ** 2).mean()
     np.testing.assert_allclose(got.values, [v.item() for v in (value, l1, ssim, error)], rtol=1e-5)
     difference = (weight[..., None] * np.abs(shown.detach().numpy() - target)).mean(2)
-    np.testing.assert_allclose(got.error, difference / l1.item(), rtol=1e-4, atol=1e-6)
+    np.testing.assert_allclose(got.emphasis**2, difference / l1.item(), rtol=1e-4, atol=1e-6)
     (share * value).backward()
     assert np.abs(got.rgb - tensors[0].grad.numpy()).max() <= 2e-6 * np.abs(tensors[0].grad.numpy()).max()
     by_alpha = np.zeros_like(alpha) if tensors[1].grad is None else tensors[1].grad.numpy()

@@ -83,7 +83,7 @@ fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: ve
         colour[c] = channels[row * {QUADS}u + c];
         //end
         var first = vec4f(0.0);  // sums of e, e u, e u dx, e u dy
-        var second = vec4f(0.0); // of e dy, e dy^2, |e u|, |e u du/dy + e v dv/dy| times the error
+        var second = vec4f(0.0); // of e dy, e dy^2, |e u|, |e u du/dy + e v dv/dy| times the emphasis
         for (var step = 0u; step < 255u + count; step++) {
             let p = step - lane;
             if lane < count && step >= lane && p < 256u {

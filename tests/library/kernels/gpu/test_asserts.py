@@ -45,7 +45,7 @@ def calls(backend, make_model, rng):
                       "background": np.ones(3, np.float32), "gain": np.ones(3), "bias": np.zeros(3), "sides": [picture, picture],
                       "apart": 0.1, "solid": 0.9, "outlier": 0.1},
         "over": {"picture": picture, "background": np.ones(3, np.float32)},
-        "backward": {"picture": picture, "rgb": some(*pixels, 3), "alpha": some(*pixels), "depth": some(*pixels), "error": some(*pixels),
+        "backward": {"picture": picture, "rgb": some(*pixels, 3), "alpha": some(*pixels), "depth": some(*pixels), "emphasis": some(*pixels),
                      "seen": some(N), "into": parameters(),
                      "statistics": SimpleNamespace(gradient=some(N), absolute=some(N), seen=some(N), radius=some(N))},
         "steps_since": {"rows": rows, "moved": backend.zeros((N,), np.int64), "step": 1},

@@ -27,9 +27,10 @@ def two_passes(backend, model, camera, t, goal, weight, background, by_depth, de
     agreement = backend.agreement(picture, target, *bounds, background, 1 + three, three, None if detach else sides, 0.02, 0.3, 0.1)
     over, cover = backend.over(picture, background)
     depth = None if by_depth is None else backend.array(by_depth)
-    gradients = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, error=loss.error, seen=seen,
+    gradients = backend.backward(picture, loss.rgb, loss.alpha, depth, statistics=statistics, emphasis=loss.emphasis, seen=seen,
                                  detach_time=detach)
     gradients = backend.backward(picture, loss.rgb, loss.alpha, into=gradients, detach_time=detach)
     found = {**gradients, **vars(statistics), "drawn": seen, "picture": picture.rgb, "cover": picture.alpha, "by rgb": loss.rgb,
-             "by alpha": loss.alpha, "error": loss.error, "values": loss.values, "agreement": agreement, "over": over, "over cover": cover}
+             "by alpha": loss.alpha, "emphasis": loss.emphasis, "values": loss.values, "agreement": agreement, "over": over,
+             "over cover": cover}
     return {name: np.array(backend.numpy(array)) for name, array in found.items()}

@@ -1,4 +1,4 @@
-// Each pixel's weighted absolute difference over the picture's mean of it, of the sums of loss_similarity.wgsl.
+// The square root of each pixel's weighted absolute difference over the picture's mean of it, of the sums of loss_similarity.wgsl.
 
 //threads job.x
 
@@ -7,7 +7,7 @@
 @group(0) @binding(2) var<storage, read> goal: array<f32>;
 @group(0) @binding(3) var<storage, read> weights: array<f32>;
 @group(0) @binding(4) var<storage, read> sums: array<f32>;
-@group(0) @binding(5) var<storage, read_write> error: array<f32>;
+@group(0) @binding(5) var<storage, read_write> emphasis: array<f32>;
 
 fn thread(pixel: u32) {
     var total = 0.0;
@@ -17,5 +17,5 @@ fn thread(pixel: u32) {
     if job.y != 0u {
         total *= weights[pixel];
     }
-    error[pixel] = total / (3.0 * max(sums[1] / (3.0 * f32(job.x)), 1e-6));
+    emphasis[pixel] = sqrt(total / (3.0 * max(sums[1] / (3.0 * f32(job.x)), 1e-6)));
 }
