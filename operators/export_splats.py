@@ -15,7 +15,7 @@ from ..fastgs_blender.formats.scenes import as_seen
 from ..fastgs_blender.formats.usd import save_samples
 from ..fastgs_blender.model.chapters import Chapters
 from ..scene import objects, snapshot
-from ..scene.background import in_background
+from ..scene.background import in_background, relayed
 from ..scene.splats import parting
 from .exporting import Exporting
 
@@ -138,7 +138,7 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         with self.listening():
             model = _model(context) if self.content == 'MODEL' else self._shown(context)[0]
         level = LEVELS.get(self.moving_format) if self.content == 'MODEL' else None
-        yield from in_background(lambda progress: self._save(model, target, level, progress))
+        yield from relayed(in_background(lambda progress: self._save(model, target, level, progress)), lambda share: (share, 1))
         return f"{len(model):,} Gaussians"
 
     def _write_range(self, context, target: Path):
