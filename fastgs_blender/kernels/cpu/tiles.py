@@ -123,8 +123,8 @@ def _spans(first, last, order, geometry, attributes, grid, wanted, changes, spla
 
 @inline
 def _extent(number, low, tile, ellipse, mx, box_left, box_right, found):
-    """The first and the last tile that an ellipse around mx touches in eight rows of tiles, into found [2, LANES]; the last is -1 where
-    there is none.
+    """The first and the last tile that an ellipse around mx touches in eight rows of tiles, into found [2, LANES]; 0 and -1 where there
+    is none, for what spans() writes there has to lie in its arrays.
 
     number [1, LANES]: where the rows begin from the first one, which begins `low` from the ellipse's centre.
     """
@@ -135,7 +135,7 @@ def _extent(number, low, tile, ellipse, mx, box_left, box_right, found):
     y, z = min(max(peak, low), high), min(max(-peak, low), high)
     x0 = max(mx - (math.sqrt(max(square - c * y * (c * y), 0.0)) + b * y) * a - MARGIN, box_left)
     x1 = min(mx + (math.sqrt(max(square - c * z * (c * z), 0.0)) - b * z) * a + MARGIN, box_right)
-    put(found, 0, 0, (x0 + (1.0 - ROUNDING)) * (1.0 / tile))
+    put(found, 0, 0, where(x0 <= x1, (x0 + (1.0 - ROUNDING)) * (1.0 / tile), 0.0))
     put(found, 1, 0, where(x0 <= x1, x1 * (1.0 / tile), -1.0))
 
 

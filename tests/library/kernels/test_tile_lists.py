@@ -4,7 +4,9 @@ import numpy as np
 import pytest
 
 from fastgs_blender.cameras.camera import Camera
-from fastgs_blender.kernels.cpu import raster
+from fastgs_blender.kernels.cpu import raster, tiles
+from fastgs_blender.kernels.cpu.jit import kernel
+from fastgs_blender.kernels.cpu.lanes import LANES
 from fastgs_blender.kernels.cpu.rasterise import rasterise
 from fastgs_blender.kernels.cpu.tile_lists import TileLists, list_tiles
 from fastgs_blender.util.threads import set_threads
@@ -44,6 +46,32 @@ def test_a_tile_lists_each_splat_that_shows_in_it(splats):
         assert has[tiles].all()
         listed, shown = listed + has.sum(), shown + tiles.sum()
     assert shown <= listed < 1.1 * shown
+
+
+@kernel
+def extents(low, ellipses, mx, box_right, found):
+    """tiles._extent() of each ellipse [n, 5], in rows from `low` [n] of its centre on, into found [n, 2, LANES]."""
+    number = np.empty((1, LANES))
+    for lane in range(LANES):
+        number[0, lane] = lane * 16
+    for k in range(len(ellipses)):
+        ellipse = ellipses[k, 0], ellipses[k, 1], ellipses[k, 2], ellipses[k, 3], ellipses[k, 4]
+        tiles._extent(number, low[k], 16, ellipse, mx[k], 0.0, box_right, found[k])
+
+
+def test_tiles_of_an_ellipse_lie_in_the_picture_also_where_it_touches_none():
+    """What spans() writes where a row is not touched has to lie in its arrays: a needle's tip may be thousands of pixels away."""
+    rng, n, columns = np.random.default_rng(6), 2000, 9
+    square, a, b, c = rng.uniform(-1, 8, n), 10 ** rng.uniform(-2, 3, n), rng.normal(0, 30, n), 10 ** rng.uniform(-3, 0, n)
+    peak = b * np.sqrt(np.maximum(square, 0)) / (c * np.hypot(b, c))
+    ellipses, found = np.stack([square, peak, a, b, c], 1), np.empty((n, 2, LANES))
+    ellipses[:3, 1:4] = np.nan
+    extents(rng.uniform(-300, 100, n), ellipses, rng.uniform(-500, 700, n), 16.0 * columns - 1, found)
+    first, last = found.transpose(1, 0, 2).astype(int)
+    touched = first <= last
+    assert 0.01 < touched.mean() < 0.9 and not touched[:3].any()
+    assert (first >= 0).all() and (last < columns).all() and (first[touched] < columns).all() and (last[~touched] == -1).any()
+    assert (first <= columns).all() and (last >= -1).all()
 
 
 @pytest.mark.parametrize("threads", [1, 7])
