@@ -18,7 +18,7 @@ from .simd import prefetch
 MARGIN = 1e-3
 """Pixels by which an extent is widened, so that rounding never loses a pixel that the rasteriser would blend."""
 ROUNDING = 1e-6
-"""The same, of the first tile."""
+"""Pixels beyond a pixel's centre up to which what begins there still reaches that pixel."""
 
 
 AHEAD = 16

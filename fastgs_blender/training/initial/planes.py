@@ -56,7 +56,7 @@ def large(xyz: np.ndarray, seed: int) -> np.ndarray:
 
 
 def laid(pictures: Sequence[tuple], depths: list[sweep.Depths | None], planes: np.ndarray, near: float,
-         far: float, neighbours: int = sweep.NEIGHBOURS) -> list[sweep.Depths | None]:
+         far: float, neighbours: tuple[int, float] = sweep.NEIGHBOURS) -> list[sweep.Depths | None]:
     """The depths of a moment's pictures, as sweep.swept() gives them, on the planes [P, 4] wherever pictures are clearly more alike so."""
     if not len(planes):
         return depths

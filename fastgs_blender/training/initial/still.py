@@ -12,9 +12,9 @@ import numpy as np
 from ...model.points import Points
 from . import planes, sweep
 
-SIDE, DEPTHS, WINDOW, ALIKE, NEIGHBOURS = 320, 144, 5, 0.15, 8
+SIDE, DEPTHS, WINDOW, ALIKE, NEIGHBOURS = 320, 144, 5, 0.15, (8, 90.0)
 """Pixels of a median along its longer side, and what differs from the sweep of a moment (sweep.py).  The upper walls of a dome are seen at
-the rims of pictures, by few of those that look the same way: hence more neighbours."""
+the rims of pictures, by few of those that look the same way: hence more neighbours, which look more differently."""
 AROUND = 9
 """Pixels to each side that are a colour's surroundings."""
 NOISE, MOST = 0.01, 2.0

@@ -16,10 +16,10 @@ from .geometry import project, sample, unproject
 
 DEPTHS = 96
 """Planes, evenly spread in inverse depth."""
-NEIGHBOURS = 4
-"""Pictures that each one is compared with."""
-LEAST_ANGLE, MOST_ANGLE = 4.0, 90.0
-"""Degrees between the viewing directions of neighbours."""
+NEIGHBOURS = 4, 60.0
+"""Pictures that each one is compared with, and degrees between their viewing directions, at most."""
+LEAST_ANGLE = 4.0
+"""Degrees between the viewing directions of neighbours at least."""
 WINDOW = 2
 """Pixels to each side over which differences are averaged."""
 ALIKE = 0.05
@@ -46,7 +46,7 @@ class Depths:
 
 
 def swept(pictures: Sequence[tuple], near: float, far: float, count: int = DEPTHS, window: int = WINDOW,
-          neighbours: int = NEIGHBOURS) -> list[Depths | None]:
+          neighbours: tuple[int, float] = NEIGHBOURS) -> list[Depths | None]:
     """The depths of each picture (rgb [h, w, 3], camera, inside or None) of one moment, of so many; None for one without neighbours."""
     depths = 1 / np.linspace(1 / near, 1 / far, count)
     planes = np.stack([0 * depths, 0 * depths, 1 / depths], 1)
@@ -54,8 +54,9 @@ def swept(pictures: Sequence[tuple], near: float, far: float, count: int = DEPTH
 
 
 def for_each(pictures: Sequence[tuple], near: float, far: float, found: Callable[[int, list[tuple]], Depths | None],
-             neighbours: int = NEIGHBOURS) -> list[Depths | None]:
+             neighbours: tuple[int, float] = NEIGHBOURS) -> list[Depths | None]:
     """found(k, the pictures that the k-th is compared with) of each picture of a moment, in threads; None for one without neighbours."""
+    most, widest = neighbours
     looking = np.array([camera.world_to_camera[2, :3] for _, camera, _ in pictures])
     centres = np.array([camera.centre for _, camera, _ in pictures])
     degrees = np.degrees(np.arccos(np.clip(looking @ looking.T, -1, 1)))
@@ -64,8 +65,8 @@ def for_each(pictures: Sequence[tuple], near: float, far: float, found: Callable
     def one(k: int) -> Depths | None:
         # Parallel cameras beside each other see a place at an angle too.
         angle = np.maximum(degrees[k], np.degrees(apart[k] / np.sqrt(near * far)))
-        usable = (angle >= LEAST_ANGLE) & (degrees[k] <= MOST_ANGLE) & (apart[k] > 0)
-        others = [i for i in np.lexsort((apart[k], degrees[k])) if usable[i]][:neighbours]
+        usable = (angle >= LEAST_ANGLE) & (degrees[k] <= widest) & (apart[k] > 0)
+        others = [i for i in np.lexsort((apart[k], degrees[k])) if usable[i]][:most]
         return found(k, [pictures[i] for i in others]) if others else None
 
     return threads.run(one, [(k,) for k in range(len(pictures))])
