@@ -3,6 +3,9 @@
 .NOTPARALLEL:
 .PHONY: help demo test test-all lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension store site gallery test-site clean
 
+# Where the environment forbids Python to keep compiled modules, each process would compile all of ours, and pytest's rewritten tests, anew.
+export PYTHONDONTWRITEBYTECODE :=
+
 PY := .venv/bin/python
 LTS := .venv313/bin/python
 
