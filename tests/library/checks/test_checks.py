@@ -50,13 +50,13 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def good(folder):
-    return check(write_room(folder / "good", 8, 3))
+    return check(write_room(folder / "good", 8, 3, detail=1))
 
 
 @pytest.fixture(scope="module")
 def faulty(folder):
     stages = []
-    report = check(write_room(folder / "faulty", 8, 3, **FAULTS), progress=lambda stage, share: stages.append((stage, share)))
+    report = check(write_room(folder / "faulty", 8, 3, detail=1, **FAULTS), progress=lambda stage, share: stages.append((stage, share)))
     shares = [share for _, share in stages]
     assert shares == sorted(shares) and shares[-1] == 1 and {"reading pictures", "comparing pictures"} <= {stage for stage, _ in stages}
     return report

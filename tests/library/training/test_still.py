@@ -43,7 +43,7 @@ def test_a_faint_wall_in_different_shades_has_points(room):
     capture, store = room
     moments = chosen_moments(capture)
     assert stand_still(moments)
-    pictures = [[picture(capture, store, settings(), shot, 320) for shot in shots] for shots in moments]
+    pictures = [[picture(capture, store, settings(), shot, 160) for shot in shots] for shots in moments]
     found, large = still.standing(list(zip(*pictures)), NEAR, FAR, 0)
     pixels = sum(image.shape[0] * image.shape[1] for image, _, _ in pictures[0])
     assert np.isnan(found.t).all() and len(found) > 0.5 * pixels
