@@ -11,7 +11,7 @@ that strokes pull to 1 and -1 and everything else weakly to 0, what has other co
 * Joins across which it differs much hold less, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.
 
 With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
-within it: a sweep cut (Andersen, Chung and Lang 2006).
+within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.
 """
 import numpy as np
 
@@ -30,8 +30,11 @@ OTHER, TINT = 5.0, 0.15
 difference of colours (0..1) from which on."""
 SEEN = 128
 """The most Gaussians of a stroke that colours are compared with; a colour is the stroke's if three of them have it."""
-BORDERS, TRIED = (0.1, 0.7), 41
+BORDERS, TRIED = (0.003, 0.7), 41
 """Shares of the strokes' mean potential between which the border is looked for, and how many are tried."""
+FREE = 3e-5
+"""The share of joins within a border below which a weaker cut is no better.  A border of half the height has to cut half as much: of
+equally weak joins, the first ones end the thing."""
 BORDER_ALONE = 0.5
 """The border where no stroke says what does not belong to the thing: it has no weakest cut then."""
 FALL = 0.1
@@ -78,9 +81,10 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
         return y > BORDER_ALONE * float(y[yes].mean())
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, model.position)
     low, high = np.sort([y[i], y[j]], axis=0)
-    tried = np.linspace(*BORDERS, TRIED) * float(y[yes].mean())
-    cut = [weight[(low <= border) & (border < high)].sum() / max(degree[y > border].sum(), LOOSE) for border in tried]
-    return y > tried[np.argmin(cut)]
+    shares = np.geomspace(*BORDERS, TRIED)
+    tried = shares * float(y[yes].mean())
+    cut = np.array([weight[(low <= border) & (border < high)].sum() / max(degree[y > border].sum(), LOOSE) for border in tried])
+    return y > tried[np.argmin((cut + FREE) / shares)]
 
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:

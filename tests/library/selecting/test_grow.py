@@ -72,6 +72,16 @@ def test_what_the_rim_of_a_stroke_touched_is_not_meant():
     assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
 
 
+def test_a_thing_ends_where_hardly_anything_joins_it():
+    """Five Gaussians of the cloth behind are in the stroke, and pull the potential of that cloth up to the lowest border but one."""
+    scene = made("cloths")
+    yes, no = scenes.strokes(scene.model, scene)
+    place, behind = scene.model.position, np.flatnonzero(~scene.truth)
+    away = np.linalg.norm(place[behind, None] - place[scene.truth], axis=2).min(1)
+    yes[behind[np.argsort(away, kind="stable")[:5]]] = True
+    assert np.mean(grow(scene.model, yes, no & ~yes) == scene.truth) > 0.99
+
+
 def test_without_a_stroke_there_is_a_sentence():
     with pytest.raises(fg.FastGSError, match="stroke"):
         grow(random_model(np.random.default_rng(0), 30), np.zeros(30, bool))
