@@ -29,13 +29,16 @@ def extension_files() -> dict[str, str]:
     return {file: (ROOT / file).read_text("utf-8") for file in files}
 
 
-def imports(path: str, tree: ast.AST) -> Iterator[tuple[int, str, str]]:
+@cache
+def imports(source: str) -> list[tuple[int, str, str]]:
     """(dots, module, name) of every import statement, wherever it stands; name is empty for `import module`."""
-    for node in ast.walk(tree):
+    found = []
+    for node in ast.walk(parsed(source)):
         if isinstance(node, ast.Import):
-            yield from ((0, alias.name, "") for alias in node.names)
+            found += [(0, alias.name, "") for alias in node.names]
         elif isinstance(node, ast.ImportFrom):
-            yield from ((node.level, node.module or "", alias.name) for alias in node.names)
+            found += [(node.level, node.module or "", alias.name) for alias in node.names]
+    return found
 
 
 def texts(tree: ast.AST) -> Iterator[str]:
@@ -59,14 +62,13 @@ def targets(path: str, source: str, files) -> set[str]:
 
     Where the file names modules in strings to import them, every string that is the name of one counts.
     """
-    tree, package = parsed(source), PurePosixPath(path).parent.parts
-    found = set()
-    for dots, module, name in imports(path, tree):
+    package, found = PurePosixPath(path).parent.parts, set()
+    for dots, module, name in imports(source):
         if dots and dots <= len(package) + 1:
             base = (*package[:len(package) - dots + 1], *filter(None, module.split(".")))
             found.add(file_of((*base, name), files) or file_of(base, files))
     if "import_module" in source or "__import__" in source:
-        for text in texts(tree):
+        for text in texts(parsed(source)):
             for named in NAMED.findall(text):
                 found |= _by_name(named, package, files)
     return found - {None, path}

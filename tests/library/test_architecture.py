@@ -63,7 +63,7 @@ def beside_the_protocol(path: str, source: str, files: dict[str, str]) -> set[st
 def foreign(path: str, source: str) -> set[str]:
     """Imports that break the extension when Blender loads it, and Blender in the library."""
     wrong, depth = set(), len(PurePosixPath(path).parent.parts)
-    for dots, module, _ in imports(path, ast.parse(source, path)):
+    for dots, module, _ in imports(source):
         first = module.partition(".")[0]
         if dots > depth + 1:
             wrong.add(f"{path}: out of the extension")
@@ -121,7 +121,7 @@ def defined(source: str) -> set[str]:
 def missing(folder: str, source: str, others: dict[str, str]) -> set[str]:
     """Names that a script imports from one beside it, or from those shared by tests, though that one does not define them."""
     found = set()
-    for _, module, name in imports(folder, parsed(source)):
+    for _, module, name in imports(source):
         path = next((path for path in (f"{folder}/{module}.py", f"tests/shared/{module}.py") if path in others), None)
         if path and name and name not in defined(others[path]):
             found.add(f"{path}: {name}")
