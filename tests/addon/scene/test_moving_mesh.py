@@ -12,16 +12,21 @@ def height(x, y, t):
     return 0.4 * np.sin(2 * np.pi * t) + 0.3 * (x**2 + y**2) + 0.2 * x * np.sin(4 * np.pi * t)
 
 
-@pytest.fixture
-def splat(scene, fg, model_file):
-    """A splat object of 30 frames, which begins on frame 1, and stands away from the origin."""
+@pytest.fixture(scope="module")
+def bowl(fg):
+    """The surface's model, of 30 frames."""
     x, y = (side.ravel() for side in np.meshgrid(*[np.linspace(-1, 1, 21)] * 2))
     i = (np.arange(20)[:, None] * 21 + np.arange(20)).ravel()
     triangles = np.concatenate([np.stack([i, i + 1, i + 22], 1), np.stack([i, i + 22, i + 21], 1)])
     frames = np.arange(0, 29.5, 0.5)
-    model = fg.bake(np.stack([np.stack([x, y, height(x, y, f / 30)], 1) for f in frames]), triangles, (0.8, 0.3, 0.2), frames=frames,
-                    frame_count=30, count=4000)[0]
-    bpy.ops.import_scene.fastgs(filepath=model_file(model))
+    return fg.bake(np.stack([np.stack([x, y, height(x, y, f / 30)], 1) for f in frames]), triangles, (0.8, 0.3, 0.2), frames=frames,
+                   frame_count=30, count=4000)[0]
+
+
+@pytest.fixture
+def splat(scene, bowl, model_file):
+    """A splat object that shows the bowl, begins on frame 1, and stands away from the origin."""
+    bpy.ops.import_scene.fastgs(filepath=model_file(bowl))
     scene.frame_start, scene.frame_end = 1, 30
     obj = bpy.context.object
     obj.location = 1, 2, 3

@@ -74,7 +74,7 @@ def saved(model, path, compress=None) -> list[str]:
 
 @pytest.mark.parametrize(("extension", "compress"), [
     *((extension, None) for extension in writable() if extension != ".html"),  # web pages are played, and not read
-    (".safetensors", "fine"), (".safetensors", "small")])
+    (".safetensors", "fine"), pytest.param(".safetensors", "small", marks=pytest.mark.slow)])
 def test_every_model_that_is_saved_is_loaded_again(tmp_path, few_pictures, extension, compress):
     if extension.startswith(".usd"):
         pixars_library()
