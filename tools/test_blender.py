@@ -3,7 +3,7 @@
 
     python tools/test_blender.py [pytest arguments]
 
-BLENDER_SUITES          the releases, default "trixie sid"
+BLENDER_SUITES          the suites, default "trixie sid pages": two releases, and web pages in the browsers of trixie's root
 WINDOWS_RULES           those of them in which our code may do what Windows allows, and no more (tests/shared/windows_rules.py), default ""
 ALLOW_MISSING_BLENDER   1: test those Blenders that can be set up, and pass where there is none; without it one that is left out is
                         a failure
@@ -25,9 +25,20 @@ import wheels
 ROOT = Path(__file__).resolve().parents[1]
 OUTPUT = ROOT / "build" / "blender"
 FAILED = OUTPUT / "failed"
-"""The releases on which tests failed, in a line; absent while tests run, and where they did not come to their end."""
+"""The suites in which tests failed, in a line; absent while tests run, and where they did not come to their end."""
+BROWSERS = "trixie"
+"""The release whose root has browsers."""
+PAGES = ("test_damaged_pages.py", "test_page_pictures.py", "test_web_hands.py", "test_web_stage.py")
+"""Files of tests that open web pages and start no Blender.  They run beside the others, whose windows wait for much of their time."""
+NOTHING = 5
+"""pytest's exit status where none of a suite's tests was asked for."""
 PATIENCE = 1200
 """Seconds to wait for a Debian mirror, whatever is slow about it."""
+
+
+def release(suite: str) -> str:
+    """The release whose root a suite runs in."""
+    return BROWSERS if suite == "pages" else suite
 
 
 def roots(suites: list[str]) -> dict[str, str]:
@@ -72,11 +83,12 @@ def main() -> int:
     if {"-h", "--help"} & set(sys.argv[1:]):
         print(__doc__)
         return 0
-    suites = os.environ.get("BLENDER_SUITES", "trixie sid").split()
+    suites = os.environ.get("BLENDER_SUITES", "trixie sid pages").split()
     lenient = os.environ.get("ALLOW_MISSING_BLENDER") == "1"
     start = time.monotonic()
     FAILED.unlink(missing_ok=True)
-    found = roots(suites)
+    made_roots = roots(list(dict.fromkeys(map(release, suites))))
+    found = {suite: made_roots[release(suite)] for suite in suites if release(suite) in made_roots}
     left_out = [suite for suite in suites if suite not in found]
     if left_out and not lenient:
         print(f"make test-blender fails: no Blender of Debian {', '.join(left_out)} was tested.  ALLOW_MISSING_BLENDER=1 leaves it out.",
@@ -92,7 +104,7 @@ def main() -> int:
     except wheels.Missing as reason:
         print(f"No zip for the Blenders here: {reason}", file=sys.stderr)
         return int(not lenient)
-    print(f"{len(found)} Blenders and their zips were ready after {time.monotonic() - start:.0f} s.", flush=True)
+    print(f"{len(made_roots)} Blenders and their zips were ready after {time.monotonic() - start:.0f} s.", flush=True)
     signal.signal(signal.SIGTERM, ask_to_end)  # who waits no longer still sees how far the tests came
     tests = {suite: ring(suite, folder, {**os.environ, **made[python_of(folder)]}) for suite, folder in found.items()}
     try:
@@ -103,12 +115,12 @@ def main() -> int:
             process.send_signal(signal.SIGINT)  # pytest says where it is, and ends
         for suite, process in tests.items():
             ended(process)
-            print(f"Blender of Debian {suite}:\n{report(suite).read_text(errors='replace')}", flush=True)
+            print(f"Debian {suite}:\n{report(suite).read_text(errors='replace')}", flush=True)
     print(f"make test-blender took {time.monotonic() - start:.0f} s; logs and pictures are in {OUTPUT.relative_to(ROOT)}.")
-    failed = [suite for suite, process in tests.items() if process.returncode]
+    failed = [suite for suite, process in tests.items() if process.returncode not in (0, NOTHING)]
     if failed:
         FAILED.write_text(" ".join(failed) + "\n")
-    return int(bool(failed))
+    return int(bool(failed) or all(process.returncode for process in tests.values()))
 
 
 def ask_to_end(*_: object) -> None:
@@ -118,7 +130,7 @@ def ask_to_end(*_: object) -> None:
 
 
 def report(suite: str) -> Path:
-    """What the tests on a release print."""
+    """What the tests of a suite print."""
     return OUTPUT / f"tests-{suite}.txt"
 
 
@@ -132,13 +144,15 @@ def ended(process: subprocess.Popen) -> None:
 
 
 def ring(suite: str, folder: str, environment: dict[str, str]) -> subprocess.Popen:
-    """The tests on one Blender, under way.  What failed is remembered for each apart, for --last-failed."""
+    """The tests of one suite, under way.  What failed is remembered for each apart, for --last-failed."""
     known = OUTPUT / f"tests-{suite}"
     if not {"--lf", "--last-failed"} & set(sys.argv[1:]):
         shutil.rmtree(known, ignore_errors=True)
     rules = str(int(suite in os.environ.get("WINDOWS_RULES", "").split()))
     own = {"FASTGS_BLENDER_ROOT": folder, "FASTGS_BLENDER_OUTPUT": str(OUTPUT / suite), "FASTGS_WINDOWS_RULES": rules}
-    command = [sys.executable, "-m", "pytest", "tests/blender", "-v", "--durations=15", "-o", f"cache_dir={known}", *sys.argv[1:]]
+    files = [f"tests/blender/{name}" for name in PAGES] if suite == "pages" else [
+        "tests/blender", *(f"--ignore=tests/blender/{name}" for name in PAGES)]
+    command = [sys.executable, "-m", "pytest", *files, "-v", "--durations=15", "-o", f"cache_dir={known}", *sys.argv[1:]]
     with report(suite).open("w") as file:  # a session of its own: a signal to all of this group is not for the tests
         return subprocess.Popen(command, cwd=ROOT, env=environment | own, stdout=file, stderr=subprocess.STDOUT, start_new_session=True)
 
