@@ -30,11 +30,11 @@ def under_way():
 
 
 def settled(name, limit=GUARD):
-    """A screenshot of when two in a row, a second apart, were the same, and nothing more was under way."""
+    """A screenshot of when two in a row, half a second apart, were the same, and nothing more was under way."""
     before, waited = None, 0.0
     while waited < limit:
-        yield 1.0
-        waited += 1.0
+        yield 0.5  # Blender draws in between, however long that takes
+        waited += 0.5
         if under_way():
             before = None
             continue
