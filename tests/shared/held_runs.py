@@ -17,7 +17,7 @@ def until(done: Callable[[], object], guard: float = GUARD):
     end = time.monotonic() + guard
     while not (found := done()):
         assert time.monotonic() < end, f"nothing has come for {guard:.0f} s"
-        time.sleep(0.01)
+        time.sleep(0.05)  # a look reads files, and takes the processor from what it waits for
     return found
 
 
