@@ -8,10 +8,10 @@ from pathlib import Path
 
 import bpy
 import numpy as np
+import pytest
 from held_runs import GUARD
 from image_files import read_png
 from test_capture_scene import moving_scene  # noqa: F401 (fixtures)
-from test_training_jobs import compiled, toy  # noqa: F401
 
 ROOT = Path(__file__).resolve().parents[3]
 SCRIPT = ROOT / "examples" / "capture_train_render.py"
@@ -32,8 +32,9 @@ def test_it_is_short():
     assert len(SCRIPT.read_text("utf-8").splitlines()) < 25
 
 
-def test_from_a_scene_to_a_rendered_picture(moving_scene, compiled, tmp_path):  # noqa: F811
+def test_from_a_scene_to_a_rendered_picture(moving_scene, tmp_path):  # noqa: F811
     """The ball of a colour of its own over a floor is in the picture, where the new camera looks, before the scene's world."""
+    pytest.importorskip("torch")
     scene = moving_scene
     scene.render.resolution_percentage = 100
     scene.view_settings.view_transform = 'Standard'
