@@ -265,7 +265,7 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         name="Radius", description="Radius of the brushes that select and erase Gaussians, in pixels", default=40.0, min=1.0, max=2000.0,
         soft_max=400.0, subtype='PIXEL', precision=0)
     select_through: BoolProperty(
-        name="Through", description="Select all Gaussians under what is drawn, and not only those that are seen", default=False)
+        name="Through to the Back", description="Select all Gaussians under what is drawn, and not only those that are seen", default=False)
     show_erased: BoolProperty(
         name="Show Erased", description="Show in viewports, in red, what was erased", default=False, update=updates.viewports)
     viewport_density: FloatProperty(

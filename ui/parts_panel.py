@@ -32,7 +32,7 @@ class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
     def draw(self, context):
         layout, settings, scene = self.layout, context.object.fastgs, context.scene.fastgs
         _draw_tools(layout, SELECTING, ("Thing", "Box", "Lasso", "Brush", "Sphere"))
-        layout.prop(scene, "select_through", text="Through to the Back")
+        layout.prop(scene, "select_through")
         row = layout.row(align=True)
         row.menu("FASTGS_MT_select", text="Select")
         row.operator("fastgs.grow", text="Grow", icon='ZOOM_IN')
