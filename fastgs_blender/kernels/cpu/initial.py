@@ -83,20 +83,26 @@ def averaged(cost, reach, row):
     planes, height, width = cost.shape
     for d in range(planes):
         for i in range(height):
+            sums, line = row[i], cost[d, i]
             for j in range(width):
-                row[i, j] = 0
+                sums[j] = 0
             for step in range(-reach, reach + 1):
-                for j in range(max(-step, 0), min(width - step, width)):
-                    row[i, j] += cost[d, i, j + step]
+                first = max(-step, 0)
+                last = max(first, min(width - step, width))
+                to, by = sums[first:last], line[first + step:last + step]  # whose indices are never negative, so that LLVM uses vectors
+                for j in range(len(to)):
+                    to[j] += by[j]
         for i in range(height):
             low, high = max(i - reach, 0), min(i + reach, height - 1)
+            means = cost[d, i]
             for j in range(width):
-                cost[d, i, j] = 0
+                means[j] = 0
             for k in range(low, high + 1):
+                sums = row[k]
                 for j in range(width):
-                    cost[d, i, j] += row[k, j]
+                    means[j] += sums[j]
             for j in range(width):
-                cost[d, i, j] /= (high - low + 1) * (min(j + reach, width - 1) - max(j - reach, 0) + 1)
+                means[j] /= (high - low + 1) * (min(j + reach, width - 1) - max(j - reach, 0) + 1)
 
 
 @kernel

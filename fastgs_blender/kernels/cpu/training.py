@@ -73,8 +73,11 @@ def compare(picture: ForwardPass, target: np.ndarray, weight: np.ndarray | None,
     if background is not None:
         through = grad_rgb[..., 0] * background[0] + grad_rgb[..., 1] * background[1] + grad_rgb[..., 2] * background[2]
         grad_alpha = -through if grad_alpha is None else grad_alpha - through
-    square = float(np.square(rgb - target).mean())
-    error = np.abs(rgb - target).mean(-1) / np.float32(max(l1, LEAST_MEAN))
+    difference = rgb - target
+    square = float(np.square(difference).mean())
+    np.abs(difference, out=difference)
+    red, green, blue = (difference[..., c] for c in range(3))  # a mean over so short an axis takes NumPy thrice the time
+    error = (red + green + blue) / np.float32(3) / np.float32(max(l1, LEAST_MEAN))
     return Comparison(np.array([loss, l1, ssim, square]), grad_rgb, grad_alpha, np.sqrt(error if weight is None else error * weight))
 
 
