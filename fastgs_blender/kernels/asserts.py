@@ -106,7 +106,7 @@ def mcmc_noise(parameters: Any) -> None:
 
 def adam(tensors: Any, moved: Any) -> None:
     """TrainingBackend.adam()."""
-    for value, gradient, mean, square, count, _, shared in tensors:
+    for value, gradient, mean, square, count, _, _, shared in tensors:
         same = " ".join(["n", *map(str, value.shape[1:])])
         shapes((value, same), (gradient, same), (mean, same), (square, same), (count, "n"), (None if shared else moved, "n"))
 

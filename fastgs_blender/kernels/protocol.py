@@ -284,9 +284,9 @@ class TrainingBackend(PictureBackend, Protocol):
         """A step of Adam in place, against the gradients, for these rows alone, each as far as cpu.adam.reach() says; moved [N] int64
         becomes `step` there.
 
-        tensors  (value, gradient, mean, square, count [len(value)] int32, rate, shared) each: mean and square are Adam's moments of
-                 the value's shape; count is how many steps each row has taken; rate is a number, or one for each column of a row;
-                 of a shared array all rows move.  A gradient that is not finite counts as zero
+        tensors  (value, gradient, mean, square, count [len(value)] int32, rate, floor, shared) each: mean and square are Adam's moments
+                 of the value's shape; count is how many steps each row has taken; rate is a number, or one for each column of a row;
+                 floor is Adam's epsilon, 1e-15 at least; of a shared array all rows move.  A gradient that is not finite counts as zero
         since    steps_since(rows, moved, step), where it is known
         """
 

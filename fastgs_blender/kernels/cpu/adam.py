@@ -34,20 +34,19 @@ def reach(since: np.ndarray) -> np.ndarray:
 
 
 @kernel
-def adam(first, last, rows, reach, value, gradient, mean, square, count, rate, beta1, beta2, table):
+def adam(first, last, rows, reach, value, gradient, mean, square, count, rate, floor, beta1, beta2, table):
     """A step of the rows rows[first:last] of value [N, D], downhill.
 
     reach         [R] float32, a factor on the rate of each of the rows
     gradient      [N, D]; what is no finite number counts as zero
     mean, square  [N, D]: Adam's moments
     count         [N] int32: the steps each row has taken; each corrects its own bias, as a row that is seldom seen is young for long
-    rate          [D]
+    rate          [D];  floor: added to the root of the second moment, so that what hardly any gradient pulls at stays where it is
     table         corrections(beta1, beta2)
     """
     keep1, keep2 = float32(beta1), float32(beta2)
     add1, add2 = float32(1 - beta1), float32(1 - beta2)
     tiny, zero, most = float32(1e-30), float32(0), float32(np.inf)
-    epsilon = float32(EPSILON)
     for k in range(first, last):
         i = rows[k]
         count[i] += 1
@@ -60,4 +59,4 @@ def adam(first, last, rows, reach, value, gradient, mean, square, count, rate, b
             m = m if abs(m) > tiny else zero  # numbers that fade away become slow before they become nothing
             s = keep2 * square[i, c] + add2 * g * g
             mean[i, c], square[i, c] = m, s
-            value[i, c] -= rate[c] * c1 * m / (math.sqrt(s) * c2 + epsilon)
+            value[i, c] -= rate[c] * c1 * m / (math.sqrt(s) * c2 + floor)

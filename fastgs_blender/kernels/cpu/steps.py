@@ -96,12 +96,12 @@ def adam(rows: np.ndarray, tensors, betas: tuple[float, float], moved: np.ndarra
     table, pieces = kernels.corrections(*betas), []
     assert len(rows) == 0 or (rows.min() >= 0 and rows.max() < len(moved))
     reach = kernels.reach((steps_since(rows, moved, step) if since is None else since)[rows])
-    for value, gradient, mean, square, count, rate, shared in tensors:
+    for value, gradient, mean, square, count, rate, floor, shared in tensors:
         n = len(value)
         these, far = (np.arange(n), np.ones(n, np.float32)) if shared else (rows, reach)
         arrays = [a.reshape(n, math.prod(value.shape[1:])) for a in (value, np.ascontiguousarray(gradient, np.float32), mean, square)]
         columns = np.broadcast_to(np.asarray(rate, np.float32).reshape(-1), arrays[0].shape[1]).copy()
-        rest = (these, far, *arrays, count, columns, *betas, table)
+        rest = (these, far, *arrays, count, columns, np.float32(max(floor, kernels.EPSILON)), *betas, table)
         pieces += [(*piece, rest) for piece in ranges(len(these), ROWS)]
     run(lambda first, last, rest: kernels.adam(first, last, *rest), pieces)
     moved[rows] = step

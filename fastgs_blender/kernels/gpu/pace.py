@@ -91,7 +91,7 @@ def _steps(backend: CPU, model: GaussianModel, camera: Camera) -> Work:
         picture = backend.forward(values, model, camera, TIME)
         loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
         slopes = backend.backward(picture, loss.rgb, loss.alpha, statistics=gathered, emphasis=loss.emphasis, seen=seen)
-        tensors = [(values[name], slopes[name], *moments[name], RATE, False) for name in values]
+        tensors = [(values[name], slopes[name], *moments[name], RATE, 0.0, False) for name in values]
         backend.adam(backend.rows(seen), tensors, (0.9, 0.999), moved, next(number))
         return backend.end_step(loss.values)
 

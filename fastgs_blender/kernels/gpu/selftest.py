@@ -228,7 +228,7 @@ def _step(backend: CPU) -> dict[str, np.ndarray]:
     backend.anchor(parameters["features"], target, slopes["features"], rows, 2.0)
     backend.mcmc_penalty(parameters, slopes, 1000.0, 1000.0, 2.0)
     tensors = [(backend.zeros(model.arrays[name].shape), slopes[name], *(backend.zeros(model.arrays[name].shape) for _ in range(2)),
-                backend.zeros((N,), np.int32), 1e-2, name == "scale") for name in ("motion", "scale", "opacity", "features")]
+                backend.zeros((N,), np.int32), 1e-2, 0.1, name == "scale") for name in ("motion", "scale", "opacity", "features")]
     backend.adam(rows, tensors, (0.9, 0.999), moved, 9)
     backend.adam(rows, tensors, (0.9, 0.999), moved, 10)
     found |= {f"Adam's {i} of {j}": array for i, tensor in enumerate(tensors) for j, array in enumerate(tensor[:5])} | {"moved": moved}

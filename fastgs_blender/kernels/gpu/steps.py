@@ -7,7 +7,7 @@ from functools import cache
 import numpy as np
 
 from .. import asserts
-from ..cpu.adam import LONGEST, corrections
+from ..cpu.adam import EPSILON, LONGEST, corrections
 from ..cpu.steps import GATE, NEGLIGIBLE, SHARPNESS
 from ..protocol import MotionNorm
 from .device import Array, Device
@@ -89,14 +89,15 @@ def adam(device: Device, rows: Array, tensors: list[tuple], betas: tuple[float, 
     """TrainingBackend.adam()."""
     asserts.adam(tensors, moved)
     table, since = _table(device, *betas), steps_since(device, rows, moved, step) if since is None else since
-    for value, gradient, mean, square, steps, rate, shared in tensors:
+    for value, gradient, mean, square, steps, rate, floor, shared in tensors:
         columns = math.prod(value.shape[1:])
         rates = np.zeros(-(-columns // 4) * 4, np.float32)
         rates[:columns] = np.asarray(rate, np.float32).reshape(-1)
         every = steps if shared else since  # of a shared array all rows move, and nothing asks who was seen
         for _, (some, took, *arrays) in pieces(every, steps, gradient, value, mean, square):
             numbers = math.prod(arrays[0].shape)
-            job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)], rates]
+            job = [[numbers, columns, shared, table.shape[0]], [*betas, *(1 - beta for beta in betas)],
+                   [max(floor, EPSILON), 0.0, 0.0, 0.0], rates]
             device.run("adam", numbers, job, some, took, table, *arrays, device.spilled, RATES=len(rates) // 4, LONGEST=LONGEST)
         device.run("adam_count", len_(value), [[len_(value), shared, 0, 0]], rows, steps, device.spilled)
     device.run("moved", len_(rows), [[len_(rows), step, 0, 0]], rows, moved, device.spilled)

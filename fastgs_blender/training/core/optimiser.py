@@ -2,8 +2,9 @@
 """The optimiser: the trained arrays with Adam's moments, and the changes of rows that density control makes."""
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -99,16 +100,18 @@ class Optimiser:
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
-    def step(self, gradients: dict, rows: Any, rates: dict, since: Any = None) -> None:
+    def step(self, gradients: dict, rows: Any, rates: dict, since: Any = None, floors: Mapping[str, float] = MappingProxyType({})) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates; rows that were
         seen P steps ago by sqrt(P) of them (kernels.cpu.adam).
 
         gradients  arrays of the shapes of `arrays`; what is no finite number counts as zero
         rates      for each array a number, or one for each of its columns; arrays without a rate stay as they are
         since      steps_since_update(rows), where it is known
+        floors     of some arrays, what is added to the root of the second moment
         """
         self.steps += 1
-        tensors = [(self.arrays[name], gradients[name], self.means[name], self.squares[name], self.counts[name], rate, name in SHARED)
+        tensors = [(self.arrays[name], gradients[name], self.means[name], self.squares[name], self.counts[name], rate,
+                    floors.get(name, 0.0), name in SHARED)
                    for name, rate in rates.items() if self._sizes.get(name)]
         self.backend.adam(rows, tensors, self.betas, self.moved, self.steps, since)
 

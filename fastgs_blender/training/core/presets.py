@@ -26,7 +26,7 @@ STG: dict[str, Any] = {
     "activation": "sigmoid", "decode": "premultiplied", "decoder_place": True,
     "loss": "mixed", "dssim": 0.2, "opaque_weight": 0.0, "background": "black", "moving_weight": 1.0,
     "exposures": "off", "clocks": "off", "poses": "off",
-    "rate_unit": "extent", "position_rate": 1.6e-4, "motion_rate": 2.8e-4, "motion_decay": 1.0,
+    "rate_unit": "extent", "position_rate": 1.6e-4, "slope_floor": 0.0, "motion_rate": 2.8e-4, "motion_decay": 1.0,
     "rotation_rate": 1e-3, "turn_rate": 1e-4, "scale_rate": 1.5e-3, "opacity_rate": 0.05, "base_rate": 2.5e-3, "direction_rate": 2.5e-3,
     "time_rate": 1e-3, "centre_rate": 1e-4, "duration_rate": 0.03, "decoder_rate": 1e-4, "rate_decay": 1.0,
     "cool_down": 0.0,

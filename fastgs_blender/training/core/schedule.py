@@ -60,6 +60,17 @@ def learning_rates(settings: Settings, iteration: int, extent: float, depth: flo
     return {name: rate * rest for name, rate in rates.items()}
 
 
+def slope_floors(settings: Settings, lens: float, depth: float) -> dict[str, float]:
+    """Slopes of the loss by places and motion, from which on Adam's steps have about their full length.
+
+    Adam goes as far for noise as for a clear slope.  On a plain wall, where no picture tells how far away a Gaussian is, it would go for a
+    walk.  settings.slope_floor is the change of a picture's loss by one Gaussian that moves by the picture's width.
+
+    lens  focal length in widths of a picture;  depth  how far away what is filmed is
+    """
+    return dict.fromkeys(("position", "motion"), settings.slope_floor * lens / depth)
+
+
 def reduction(settings: Settings, iteration: int) -> int:
     """The factor by which pictures are reduced at this step: 4, 2, then 1 (more warm_up values begin smaller)."""
     ahead = sum(iteration < end * settings.iterations for end in settings.warm_up)

@@ -87,7 +87,9 @@ class Trainer:
             raise FastGSError(f"{capture.path} has no pictures to train on; hold out fewer views.")
         self.schedule = schedule.Views(self.shots, settings.seed, settings.scan_share)
         self.moving = MovingPixels(store, self.shots) if settings.moving_weight != 1 else None
-        self.pixels = int(np.median([shot.camera.width * shot.camera.height for shot in self.shots if shot.camera is not None]))
+        cameras = [shot.camera for shot in self.shots if shot.camera is not None]
+        self.pixels = int(np.median([camera.width * camera.height for camera in cameras]))
+        self.lens = float(np.median([camera.fx / camera.width for camera in cameras]))
         self.template = empty_model(settings, capture.clip, capture.axes)
         self.delayed = DelayedStatistics(CameraEstimates.initial(capture, settings, start))
         self.motion_norm = motion_norm(self.template.basis, self.extent, settings.regulariser)
@@ -135,7 +137,8 @@ class Trainer:
         rows = backend.rows(seen, self.strategy.frozen)
         since = self.optimiser.steps_since_update(rows)
         penalty = self._regularise(gradients, rows, since)
-        self.optimiser.step(gradients, rows, rates, since)
+        floors = schedule.slope_floors(s, self.lens, self.depth)
+        self.optimiser.step(gradients, rows, rates, since, floors)
         end = backend.end_step(backend.count(rows), penalty, *losses, *measured)
         self.pending.append(Pending(i, len(self), views, self.cameras, self.delayed.updated, end))
         self.iteration += 1

@@ -334,6 +334,6 @@ def test_a_model_without_gaussians_takes_a_step(rng, appearance):
     parameters = dict(model.arrays) | ({"w1": look.w1.copy(), "w2": look.w2.copy()} if appearance == "sigmoid" else {})
     gradients = CPU.backward(CPU.forward(parameters, model, camera, T), np.ones((16, 20, 3), np.float32))
     assert {name: array.shape for name, array in gradients.items()} == {name: array.shape for name, array in parameters.items()}
-    tensors = [(value, gradients[name], np.zeros_like(value), np.zeros_like(value), np.zeros(len(value), np.int32), 1e-2, False)
+    tensors = [(value, gradients[name], np.zeros_like(value), np.zeros_like(value), np.zeros(len(value), np.int32), 1e-2, 0.0, False)
                for name, value in parameters.items() if len(value) == 0]
     CPU.adam(np.zeros(0, np.int64), tensors, (0.9, 0.999), np.zeros(0, np.int64), 1)

@@ -78,6 +78,24 @@ def test_what_is_seldom_seen_goes_as_far_as_by_the_usual_adam(period):
     np.testing.assert_allclose(ours.arrays["position"][0], theirs.detach().numpy(), rtol=0.1)
 
 
+def test_what_hardly_any_slope_pulls_at_stays_where_it_is(rng):
+    """A floor is torch's epsilon; arrays without one have next to none."""
+    torch = pytest.importorskip("torch")
+    ours = Optimiser(arrays(rng))
+    before = {name: array.copy() for name, array in ours.arrays.items()}
+    theirs = torch.tensor(before["position"], requires_grad=True)
+    adam = torch.optim.Adam([theirs], lr=RATES["position"], eps=2e-3)
+    for _ in range(20):
+        g = gradients(rng, ours)
+        g["position"][:25] *= 1e-3
+        ours.step(g, np.arange(50), RATES, floors={"position": 2e-3})
+        theirs.grad = torch.tensor(g["position"])
+        adam.step()
+    np.testing.assert_allclose(ours.arrays["position"], theirs.detach().numpy(), rtol=1e-5, atol=2e-6)
+    far = {name: np.abs(ours.arrays[name] - before[name]).reshape(50, -1).mean(1) / RATES[name] for name in ("position", "opacity")}
+    assert far["position"][:25].max() < 0.1 < far["position"][25:].min() and far["opacity"].min() > 0.1
+
+
 def test_it_knows_how_long_a_row_has_waited(rng):
     optimiser = Optimiser(arrays(rng, 3))
     for rows in ([0, 1], [0], [0]):

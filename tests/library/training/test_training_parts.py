@@ -22,6 +22,7 @@ from fastgs_blender.training.initial.first_model import depth_of, model_from_poi
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
 from fastgs_blender.training.run.files import CHECKPOINT
+from fastgs_blender.util.backends import load_backend
 
 
 def test_settings_survive_json():
@@ -225,6 +226,25 @@ def test_rates_fall_and_divide_by_the_frequency():
     assert last["motion"][0] == pytest.approx(chosen.motion_decay * first["motion"][0])
     for name in set(first) - {"position", "motion"}:
         np.testing.assert_allclose(last[name], chosen.rate_decay * np.asarray(first[name]), err_msg=name)
+
+
+def test_floors_of_slopes_know_no_unit_of_length_and_no_size_of_pictures(make_model, rng):
+    """A disc before a wall that is half white: its slope stands for as many floors in finer pictures, and where all is ten times larger."""
+    backend = load_backend("cpu")
+    found = []
+    for finer, larger in ((1, 1.0), (3, 1.0), (1, 10.0)):
+        camera = fg.Camera(48 * finer, 32 * finer, 40.0 * finer, 40.0 * finer, 24.0 * finer, 16.0 * finer, np.eye(4))
+        model = make_model(rng, 1, appearance="rgb")
+        values = {name: np.zeros_like(array, np.float32) for name, array in model.arrays.items()}
+        values |= {"position": np.float32([[0, 0, 4 * larger]]), "scale": np.full((1, 3), np.log(0.4 * larger), np.float32),
+                   "rotation": np.float32([[1, 0, 0, 0]]), "features": np.ones((1, 3), np.float32)}
+        wall = np.zeros((32 * finer, 48 * finer, 3), np.float32)
+        wall[:, :24 * finer] = 1
+        picture = backend.forward(values, model, camera, 0.0)
+        loss = backend.compare(picture, wall, None, None, 0.0, 0.0, 1.0)
+        slope = backend.backward(picture, loss.rgb, loss.alpha)["position"][0, 0]
+        found.append(slope / schedule.slope_floors(options.settings(), camera.fx / camera.width, 4 * larger)["position"])
+    assert found == pytest.approx(found[:1] * 3, rel=0.02) and found[0] > 100
 
 
 def test_a_model_is_refined_with_shorter_steps():

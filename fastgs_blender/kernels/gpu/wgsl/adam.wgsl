@@ -6,6 +6,7 @@
 struct Job {
     size: vec4u,  // numbers, columns, whether all rows move, length of the table
     betas: vec4f, // beta1, beta2, 1 - beta1, 1 - beta2
+    floor: vec4f, // added to the root of the second moment
     rates: array<vec4f, {RATES}>,
 }
 
@@ -36,5 +37,5 @@ fn thread(i: u32) {
     let s = job.betas.y * square[i] + job.betas.w * g * g;
     mean[i] = kept;
     square[i] = s;
-    value[i] -= job.rates[column / 4u][column % 4u] * reach * corrections.x * kept / (sqrt(s) * corrections.y + 1e-15);
+    value[i] -= job.rates[column / 4u][column % 4u] * reach * corrections.x * kept / (sqrt(s) * corrections.y + job.floor.x);
 }

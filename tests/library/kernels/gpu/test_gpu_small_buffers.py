@@ -48,7 +48,7 @@ def test_arrays_of_several_buffers_change_no_byte(fresh, gpu, rng):
         backend.mcmc_penalty(arrays, slopes, 0.1, 0.2, 2.0)
         backend.mcmc_noise(arrays, 100.0, (1, 2))
         tensors = [(arrays[name], slopes[name], backend.zeros(arrays[name].shape), backend.zeros(arrays[name].shape),
-                    backend.zeros((n,), np.int32), 1e-2, False) for name in names]
+                    backend.zeros((n,), np.int32), 1e-2, 0.0, False) for name in names]
         for step in (1, 2):
             backend.adam(rows, tensors, (0.9, 0.999), moved, step)
         found |= {f"{name} {i}": np.array(backend.numpy(each)) for name, tensor in zip(names, tensors) for i, each in enumerate(tensor[:5])}

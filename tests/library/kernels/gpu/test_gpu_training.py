@@ -93,7 +93,8 @@ def test_steps_are_the_cpus(gpu, rng, reading):
         tensors = []
         for name, rate in (("motion", 1e-3), ("features", np.linspace(1e-3, 1e-2, 9)), ("w2", 1e-2)):
             parts = [backend.zeros(draw[name].shape) for _ in range(2)]
-            tensors.append((a[name], a[f"by {name}"], *parts, backend.zeros((len(draw[name]),), np.int32), rate, name == "w2"))
+            steps, floor = backend.zeros((len(draw[name]),), np.int32), 0.1 if name == "motion" else 0.0
+            tensors.append((a[name], a[f"by {name}"], *parts, steps, rate, floor, name == "w2"))
         for step in (9, 10):
             backend.adam(rows, tensors, (0.9, 0.999), moved, step, since if step == 9 else None)
         out |= {**a, "moved": moved} | {f"{i} {j}": each for i, tensor in enumerate(tensors) for j, each in enumerate(tensor[2:5])}
