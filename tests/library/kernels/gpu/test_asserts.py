@@ -55,7 +55,7 @@ def calls(backend, make_model, rng):
         "mcmc_penalty": {"parameters": parameters("opacity", "scale"), "gradients": parameters("opacity", "scale"), "opacity_weight": 1.0,
                    "scale_weight": 1.0, "extent": 1.0},
         "mcmc_noise": {"parameters": parameters("opacity", "scale", "rotation", "position"), "reach": 1.0, "key": (1,)},
-        "adam": {"rows": rows, "tensors": [(some(N, 3), some(N, 3), some(N, 3), some(N, 3), backend.zeros((N,), np.int32), 0.1, False)],
+        "adam": {"rows": rows, "tensors": [(*(some(N, 3) for _ in range(4)), backend.zeros((N,), np.int32), 0.1, 0.0, False)],
                  "betas": (0.9, 0.999), "moved": backend.zeros((N,), np.int64), "step": 1},
         "surface": {"triangles": rng.normal(size=(4, 3, 3)), "camera": CAMERA},
         "nearest": {"points": rng.normal(size=(9, 3)), "turns": [np.eye(3)], "count": 2, "leaf": 4},
