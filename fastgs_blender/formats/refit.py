@@ -64,7 +64,7 @@ def refitted(ready: Prepared, level: float, segment: int, original: GaussianMode
         trust = min(1.0, OUTLIER * float(np.median(errors)) / max(error, 1e-12))
         rate = RATE * (END + (1 - END) * 0.5 * (1 + np.cos(np.pi * k / len(series))))
         slopes = {name: backend.array(gradients[name].reshape(unit.shape) * (trust * unit) + dear[name]) for name, unit in units.items()}
-        tensors = [(moved[name], slopes[name], means[name], squares[name], counts[name], rate, False) for name in units]
+        tensors = [(moved[name], slopes[name], means[name], squares[name], counts[name], rate, 0.0, False) for name in units]
         backend.adam(rows, tensors, BETAS, when, k + 1)
         model = _after(start, {name: backend.numpy(moved[name]) * unit for name, unit in units.items()})
         progress((k + 1) / len(series))
