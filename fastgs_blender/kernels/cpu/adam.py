@@ -41,7 +41,8 @@ def adam(first, last, rows, reach, value, gradient, mean, square, count, rate, f
     gradient      [N, D]; what is no finite number counts as zero
     mean, square  [N, D]: Adam's moments
     count         [N] int32: the steps each row has taken; each corrects its own bias, as a row that is seldom seen is young for long
-    rate          [D];  floor: added to the root of the second moment, so that what hardly any gradient pulls at stays where it is
+    rate          [D]
+    floor         added to the root of the second moment: what hardly any gradient pulls at stays where it is
     table         corrections(beta1, beta2)
     """
     keep1, keep2 = float32(beta1), float32(beta2)

@@ -2,9 +2,8 @@
 """The optimiser: the trained arrays with Adam's moments, and the changes of rows that density control makes."""
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import contextmanager
-from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -100,7 +99,7 @@ class Optimiser:
         """Number of steps [N], the coming one included, that each row's next move stands for; 0 for the other rows.  Of the backend."""
         return self.backend.steps_since(rows, self.moved, self.steps + 1)
 
-    def step(self, gradients: dict, rows: Any, rates: dict, since: Any = None, floors: Mapping[str, float] = MappingProxyType({})) -> None:
+    def step(self, gradients: dict, rows: Any, rates: dict, since: Any = None, floors: dict[str, float] | None = None) -> None:
         """Move the rows (of the backend) and the shared arrays against their gradients, at most by about the rates; rows that were
         seen P steps ago by sqrt(P) of them (kernels.cpu.adam).
 
@@ -111,7 +110,7 @@ class Optimiser:
         """
         self.steps += 1
         tensors = [(self.arrays[name], gradients[name], self.means[name], self.squares[name], self.counts[name], rate,
-                    floors.get(name, 0.0), name in SHARED)
+                    (floors or {}).get(name, 0.0), name in SHARED)
                    for name, rate in rates.items() if self._sizes.get(name)]
         self.backend.adam(rows, tensors, self.betas, self.moved, self.steps, since)
 
