@@ -38,7 +38,8 @@ def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: 
     h, w = image.shape[:2]
     costs = np.empty((len(others), len(planes), h, w), np.float32)
     for cost, (other, *between) in zip(costs, others):
-        differences(image, other, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
+        wide = np.pad(other, ((0, 0), (0, 0), (0, 1)))  # four numbers a pixel: LLVM reads them as one vector
+        differences(image, wide, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
         averaged(cost, reach, np.empty((h, w), np.float32))
     out = np.empty(costs[0].size, np.float32)
     return better_half(costs.reshape(len(others), -1), np.float32(outside / 2), out).reshape(costs.shape[1:])
@@ -46,33 +47,39 @@ def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: 
 
 @kernel
 def differences(image, other, turn, shift, planes, outside, out):
-    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other, were its surface on each plane [D, 3].
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other [., ., 4], were its surface on each plane [D, 3].
 
     The pixel (u, v) has the inverse depth plane @ (u, v, 1); turn [3, 3], shift [3]: at depth z it is seen by the other camera at
     turn @ (u, v, 1) z + shift (homogeneous).  outside: the difference where the other picture ends, or the plane lies behind a camera.
     """
     height, width = image.shape[:2]
-    right, bottom = float32(other.shape[1] - 1), float32(other.shape[0] - 1)
+    right, bottom, row = float32(other.shape[1] - 1), float32(other.shape[0] - 1), np.int32(other.shape[1])
     half, one, third = float32(0.5), float32(1), float32(1 / 3)
+    pixels = other.reshape(-1, 4)
+    at, across, down = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
     for d in range(len(planes)):
         for i in range(height):
-            for j in range(width):
-                u, v = float32(j) + half, float32(i) + half
+            v = float32(i) + half
+            for j in range(width):  # places in the other picture first, as this loop becomes vectors
+                u = float32(j) + half
                 near = planes[d, 0] * u + planes[d, 1] * v + planes[d, 2]
                 w = turn[2, 0] * u + turn[2, 1] * v + turn[2, 2] + shift[2] * near
-                out[d, i, j] = outside
-                if w <= 0 or near <= 0:
-                    continue
                 x = (turn[0, 0] * u + turn[0, 1] * v + turn[0, 2] + shift[0] * near) / w - half
                 y = (turn[1, 0] * u + turn[1, 1] * v + turn[1, 2] + shift[1] * near) / w - half
-                if not (x >= 0 and y >= 0 and x < right and y < bottom):
+                seen = (w > 0) & (near > 0) & (x >= 0) & (y >= 0) & (x < right) & (y < bottom)
+                a, b = np.int32(x if seen else float32(0)), np.int32(y if seen else float32(0))
+                across[j], down[j] = x - float32(a), y - float32(b)
+                at[j] = b * row + a if seen else np.int32(-1)
+            for j in range(width):
+                k = at[j]
+                if k < 0:
+                    out[d, i, j] = outside
                     continue
-                a, b = int(x), int(y)
-                p, q = x - float32(a), y - float32(b)
+                p, q = across[j], down[j]
                 total = float32(0)
                 for c in range(3):
-                    value = ((one - q) * ((one - p) * other[b, a, c] + p * other[b, a + 1, c])
-                             + q * ((one - p) * other[b + 1, a, c] + p * other[b + 1, a + 1, c]))
+                    value = ((one - q) * ((one - p) * pixels[k, c] + p * pixels[k + 1, c])
+                             + q * ((one - p) * pixels[k + row, c] + p * pixels[k + row + 1, c]))
                     total += abs(value - image[i, j, c])
                 out[d, i, j] = total * third
 
@@ -105,26 +112,37 @@ def averaged(cost, reach, row):
                 means[j] /= (high - low + 1) * (min(j + reach, width - 1) - max(j - reach, 0) + 1)
 
 
+BLOCK = 256
+
+
 @kernel
 def better_half(costs, outside, out):
     """The means [P] of the lower half of the costs [O, P] below `outside`, the middle one included; of two at least, if there are three."""
     number = len(costs)
     least = min((number + 1) // 2, 2)
-    lowest = np.empty(number, np.float32)
-    for p in range(len(out)):
-        inside = 0
+    ordered, half = np.empty((number, BLOCK), np.float32), np.empty(BLOCK, np.int32)
+    for first in range(0, len(out), BLOCK):
+        mean = out[first:first + BLOCK]
+        block = len(mean)
+        half[:] = 1
         for k in range(number):
-            value = costs[k, p]
-            if value < outside:
-                inside += 1
-            at = k
-            while at and lowest[at - 1] > value:
-                lowest[at] = lowest[at - 1]
-                at -= 1
-            lowest[at] = value
-        half = max((inside + 1) // 2, least)
-        total = float32(0)
-        for k in range(half):
-            total += lowest[k]
-        out[p] = total / float32(half)
+            line, cost = ordered[k], costs[k, first:first + block]
+            for p in range(block):
+                line[p] = cost[p]
+                half[p] += cost[p] < outside
+        # neighbours are put in order, even and odd pairs in turn, in all places of the block at once
+        for turn in range(number):
+            for k in range(turn % 2, number - 1, 2):
+                low, high = ordered[k], ordered[k + 1]
+                for p in range(block):
+                    low[p], high[p] = min(low[p], high[p]), max(low[p], high[p])
+        for p in range(block):
+            half[p] = max(half[p] // 2, least)
+            mean[p] = ordered[0, p]
+        for k in range(1, number):
+            line = ordered[k]
+            for p in range(block):
+                mean[p] += line[p] if k < half[p] else float32(0)
+        for p in range(block):
+            mean[p] /= float32(half[p])
     return out

@@ -22,7 +22,7 @@ from ..core.moving_pixels import stands
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, planes, still, sweep
-from .geometry import project, sample, visible
+from .geometry import project, sample, visible, within
 from .neighbours import neighbour_distance
 from .velocity import in_motion
 
@@ -195,7 +195,7 @@ def votes(cloud: Points, pictures: Sequence[tuple], depths: Sequence[Any], few: 
         ratio = depth / np.maximum(z, 1e-12)
         there = np.abs(ratio - 1) < sweep.AGREE
         alike = np.abs(sample(image, places) - cloud.rgb).mean(1) < STEADY
-        seen = visible(camera, cloud.xyz)
+        seen = within(camera, places, z)
         agree += seen & there & alike
         through = (ratio > 1 + 2 * sweep.AGREE) & (cost < (sweep.ALIKE if few else np.inf))
         against += seen & (through | (there & ~alike))

@@ -19,8 +19,13 @@ def unproject(camera: Camera, places: np.ndarray, depth: np.ndarray) -> np.ndarr
 
 def visible(camera: Camera, xyz: np.ndarray) -> np.ndarray:
     """Which world points [n] are within the picture."""
-    places, depth = project(camera, xyz)
-    return (depth > 0) & (places > 0).all(1) & (places < (camera.width, camera.height)).all(1)
+    return within(camera, *project(camera, xyz))
+
+
+def within(camera: Camera, places: np.ndarray, depth: np.ndarray) -> np.ndarray:
+    """Which pixels [n, 2] at depths [n] are within the picture and before the camera."""
+    x, y = places.T
+    return (depth > 0) & (x > 0) & (y > 0) & (x < camera.width) & (y < camera.height)
 
 
 def sample(image: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -12,7 +12,7 @@ import numpy as np
 from ...util import threads
 from ...util.backends import load_backend
 from .features import matrix
-from .geometry import project, sample, unproject
+from .geometry import project, sample, unproject, within
 
 DEPTHS = 96
 """Planes, evenly spread in inverse depth."""
@@ -116,8 +116,7 @@ def surfaces(pictures: Sequence[tuple], found: list[Depths | None], witnesses: i
             if i == k or its is None:
                 continue
             seen, z = project(other, points)
-            inside_it = (z > 0) & (seen > 0).all(1) & (seen < (other.width, other.height)).all(1)
-            agreeing += inside_it & (np.abs(sample(its.depth[..., None], seen)[:, 0] / np.maximum(z, 1e-12) - 1) < AGREE)
+            agreeing += within(other, seen, z) & (np.abs(sample(its.depth[..., None], seen)[:, 0] / np.maximum(z, 1e-12) - 1) < AGREE)
         good = agreeing >= max(others_needed, 1)
         clouds.append((points[good], image[row, column][good]))
     return clouds

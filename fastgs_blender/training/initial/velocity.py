@@ -19,8 +19,8 @@ points are still far away, colours tell most."""
 COMPANY = max(company for company, _ in ROUNDS)
 MOST = 2000
 """Points of a cloud that are registered; others go with the nearest of them."""
-ROWS = 512
-"""Points whose distances to all others are held at once."""
+ROWS = 64
+"""Points whose distances to all others are held at once, in a processor's cache."""
 
 
 def in_motion(clouds: list[Points], k: int, seen: Callable[[Points, int], np.ndarray]) -> Points:
@@ -58,12 +58,16 @@ def displacements(cloud: Points, other: Points) -> np.ndarray:
 
 def _nearest(wanted: np.ndarray, known: np.ndarray, count: int) -> np.ndarray:
     """Indices [n, count] of the rows of known [m, D] that are nearest to those of wanted [n, D], the nearest first."""
-    found, squares = np.empty((len(wanted), count), np.int64), (known**2).sum(1)
-    for first in range(0, len(wanted), ROWS):
+    found, middle = np.empty((len(wanted), count), np.int64), known.mean(0)
+    # |known|^2 - 2 wanted . known as one product, around the middle, so that float32 is enough
+    wanted, known = (np.asarray(values - middle, np.float32) for values in (wanted, known))
+    left = np.column_stack([wanted, np.ones(len(wanted), np.float32)])
+    right = np.column_stack([-2 * known, np.square(known).sum(1)]).T.copy()
+    for first in range(0, len(left), ROWS):
         rows = slice(first, first + ROWS)
-        away = squares - 2 * wanted[rows] @ known.T
+        away = left[rows] @ right
         some = np.argpartition(away, count - 1, axis=1)[:, :count] if count > 1 else away.argmin(1)[:, None]
-        found[rows] = np.take_along_axis(some, np.take_along_axis(away, some, 1).argsort(1), 1)
+        found[rows] = np.take_along_axis(some, np.take_along_axis(away, some, 1).argsort(1), 1) if count > 1 else some
     return found
 
 
