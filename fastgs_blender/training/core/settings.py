@@ -157,10 +157,10 @@ class Settings:
             raise FastGSError(f"the training option warm_up has at most four rising numbers from 0 to 1, not {self.warm_up}.")
 
     def of_segment(self, number: int) -> Settings:
-        """The settings of a segment, counted from 0: those after the first take fewer steps."""
+        """The settings of a segment, counted from 0: those after the first take fewer steps, all of them at full size."""
         if not (number and self.segment_steps):
             return self
-        return replace(self, iterations=max(round(self.segment_steps * self.iterations), 1))
+        return replace(self, iterations=max(round(self.segment_steps * self.iterations), 1), warm_up=())
 
     @property
     def dissimilarity(self) -> float:

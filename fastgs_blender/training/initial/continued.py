@@ -123,9 +123,13 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     """
     found, store = starting_points.initial_points(capture, store, settings, say, progress)
     timed = found.take(np.flatnonzero(np.isfinite(found.t))) if found.t is not None else found.take(slice(0, 0))
-    held = stands(before) & (_calm(before.position, np.exp(before.scale.max(1)), capture, store, settings, earlier) > 0)
-    models = [before.take(np.flatnonzero(held)), _going_on(before.take(np.flatnonzero(~held)), at, settings)]
+    sizes = np.exp(before.scale.max(1))
+    held = stands(before) & (_calm(before.position, sizes, capture, store, settings, earlier) > 0)
+    rests = _calm(positions_at(before, at), sizes, capture, store, settings)
+    models = [before.take(np.flatnonzero(held)), _going_on(before.take(np.flatnonzero(~held)), at, settings, rests[~held] >= CALM)]
     room = max(settings.max_gaussians - sum(map(len, models)), 0)
+    # what rests is known by now
+    timed = timed.take(np.flatnonzero(_calm(timed.xyz, np.zeros(len(timed)), capture, store, settings) < 1 - CALM))
     if len(timed):
         timed = starting_points.thinned(timed, max(room, 1), settings.seed)
         models.append(model_from_points(timed, settings, capture.clip, capture.axes, capture.extent))
@@ -135,12 +139,13 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), frozen=int(held.sum()))
 
 
-def _going_on(model: GaussianModel, at: float, settings: Settings) -> GaussianModel:
-    """Gaussians as they are at a time, which becomes 0: at rest, to be seen as long as a starting point, of that moment or of all times."""
+def _going_on(model: GaussianModel, at: float, settings: Settings, rests: np.ndarray) -> GaussianModel:
+    """Gaussians as they are at a time, which becomes 0, at rest, to be seen as long as a starting point: of all times where nothing moves
+    now (rests [N]), else of that moment.  If films show no place at rest, those are of all times that were seen all the time so far."""
     now = slice_model(model, at)
     part = model.take(now.index)
     odds = np.clip(now.opacity, 1e-4, 1 - 1e-4)
-    long = model.temporal_kind.factor(0.0, part.mu_tau, part.temporal) > 1 - FADED
+    long = rests[now.index] if rests.any() else model.temporal_kind.factor(0.0, part.mu_tau, part.temporal) > 1 - FADED
     life = np.where(long, settings.init_duration_static, settings.init_duration)
     temporal = np.broadcast_to(-2 * np.log(life)[:, None], part.temporal.shape)
     features = part.features.copy()
