@@ -6,7 +6,6 @@ They run as they are written, page by page in a folder of its own that holds the
 """
 from __future__ import annotations
 
-import filecmp
 import json
 import os
 import re
@@ -45,15 +44,6 @@ def needed(names: list[str], found: dict[str, metadata.Distribution]) -> dict[st
     return found
 
 
-def share_kernels(package: Path) -> None:
-    """Put a link in the place of the installed kernels, which are the same files: so those that other tests compiled are found."""
-    ours, theirs = ROOT / "fastgs_blender" / "kernels" / "cpu", package / "kernels" / "cpu"
-    names = [path.name for path in ours.glob("*.py")]
-    assert filecmp.cmpfiles(ours, theirs, names, shallow=False)[0] == names
-    shutil.rmtree(theirs)
-    theirs.symlink_to(ours, target_is_directory=True)
-
-
 @pytest.fixture(scope="module")
 def fresh(tmp_path_factory):
     """The Python of an environment with the project, built and unpacked as pip does it, beside links to its dependencies alone."""
@@ -68,7 +58,6 @@ def fresh(tmp_path_factory):
                                text=True).stdout.strip())
     subprocess.run([sys.executable, "-m", "pip", "install", "--quiet", "--disable-pip-version-check", "--no-deps", "--no-build-isolation",
                     "--no-index", "--target", site, source], check=True, capture_output=True)
-    share_kernels(site / "fastgs_blender")
     own = metadata.Distribution.at(next(site.glob("fastgs_blender-*.dist-info")))
     wanted = [Requirement(text) for text in own.requires]
     for distribution in needed([r.name for r in wanted if r.marker is None or r.marker.evaluate({"extra": ""})], {}).values():

@@ -2,6 +2,10 @@
 """A compilation ahead that was stopped is begun again: the cache counts as filled when it came to its end, and not before."""
 from __future__ import annotations
 
+import os
+import subprocess
+import sys
+
 import pytest
 
 from fastgs_blender.kernels.cpu import cache, warm
@@ -26,3 +30,22 @@ def test_the_cache_is_filled_when_compilation_came_to_its_end(tmp_path, monkeypa
     assert cache.is_filled()
     cache.clear()
     assert not cache.is_begun() and not cache.is_filled()
+
+
+@pytest.mark.slow
+def test_machine_code_is_found_wherever_the_same_source_is_installed(tmp_path):
+    source = """from fastgs_blender.kernels.cpu.jit import kernel
+@kernel
+def added(x):
+    return x + {}
+print(added(1), sum(added.stats.cache_hits.values()))
+"""
+
+    def run(place, number):
+        file = tmp_path / place / "same" / "one.py"
+        file.parent.mkdir(parents=True)
+        file.write_text(source.format(number), "ascii")
+        environment = os.environ | {"FASTGS_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+        return subprocess.run([sys.executable, file], env=environment, check=True, capture_output=True, text=True).stdout.split()
+
+    assert [run("here", 1), run("there", 1), run("new", 2)] == [["2", "0"], ["2", "1"], ["3", "0"]]
