@@ -217,11 +217,11 @@ def _values(mesh, name: str, width: int):
     attribute = mesh.attributes.get(name)
     if attribute is None or attribute.domain != 'POINT' or attribute.data_type not in KINDS or len(attribute.data) != len(mesh.vertices):
         return None
-    member, held, kind = KINDS[attribute.data_type]
-    values = arrays.read(attribute.data, member, kind, held).reshape(-1, held)
+    member, items, kind = KINDS[attribute.data_type]
+    values = arrays.read(attribute.data, member, kind, items).reshape(-1, items)
     if width == 1:
-        return values[:, 0] if held == 1 else values[:, :3].mean(1)
-    return np.repeat(values, width, 1) if held == 1 else values[:, :width]
+        return values[:, 0] if items == 1 else values[:, :3].mean(1)
+    return np.repeat(values, width, 1) if items == 1 else values[:, :width]
 
 
 def _changed(after: np.ndarray, before: np.ndarray) -> np.ndarray:

@@ -70,7 +70,7 @@ class Tracks:
             for instance in track:
                 last = instance or last
                 filled.append(replace(last.settings, opacity=0.0) if instance is None else instance.settings)
-            around = _held(track, shown[0])
+            around = _filled(track, shown[0])
             made.append(PageObject(shown[0].source, [each.placement for each in around], [each.t for each in around], filled))
         return made
 
@@ -90,13 +90,13 @@ class Tracks:
         return model
 
 
-def _held(track: list[Instance | None], first: Instance) -> list[Instance]:
+def _filled(track: list[Instance | None], first: Instance) -> list[Instance]:
     """A track whose gaps hold what was before them."""
-    held = []
+    filled = []
     for instance in track:
         first = instance or first
-        held.append(first)
-    return held
+        filled.append(first)
+    return filled
 
 
 def sampled(context, first: int, last: int, chosen, moving: bool) -> Iterator[tuple[int, int]]:
@@ -198,7 +198,7 @@ def not_kept(context) -> list[str]:
     view, render = scene.view_settings, scene.render
     transform = view.view_transform
     graded = view.look not in ("", "None") or view.exposure != 0 or view.gamma != 1 or view.use_curve_mapping
-    held = [obj.name for obj in layer.objects if not objects.is_splat(obj) and holdout.is_held_out(obj, layer)]
+    holdouts = [obj.name for obj in layer.objects if not objects.is_splat(obj) and holdout.is_held_out(obj, layer)]
     fixed = [f"the animation of {name} of {obj.name}" for obj in _splats(context) for name in _animated(obj)]
     lens = scene.camera.data if scene.camera is not None and scene.camera.type == 'CAMERA' else None
     lit = [obj.name for obj in _splats(context) if lamps.takes_light(obj)]
@@ -211,7 +211,7 @@ def not_kept(context) -> list[str]:
         (world.background(scene, layer)[1] is not None, "the world's picture; its background colour stands for it"),
         (bool(lit), f"Scene Light on {_named(lit)}; pages show the captured light"),
         (bool(surfaces), f"meshes: {_named(surfaces)}"),
-        (bool(held), f"what hides splats: {_named(held)}"),
+        (bool(holdouts), f"what hides splats: {_named(holdouts)}"),
         (bool(pointed), f"what modifiers do to the points of {_named(pointed)}"),
         (bool(fixed), f"{_named(fixed)}; the first frame stands for it"),
         (render.use_compositing and joins.tree_of(scene) is not None, "what the compositor does"),

@@ -43,11 +43,11 @@ def run(inspection: Inspection) -> Section:
     section.pictures.append(Picture(f"The scene from above: how many cameras see each place between the floor and the top of "
                                     f"{'what was matched' if space.known else 'where they look'}"
                                     ", the cameras and where they look.", plan(space, inspection), wide=True))
-    held = set(inspection.capture.held_out_views)
-    shown = sorted(inspection.views, key=lambda view: (view not in held, -few[view]))[:MOST_PICTURES]
+    held_out = set(inspection.capture.held_out_views)
+    shown = sorted(inspection.views, key=lambda view: (view not in held_out, -few[view]))[:MOST_PICTURES]
     for view in shown:
         samples = inspection.samples[view]
-        role = "held out: " if view in held else ""
+        role = "held out: " if view in held_out else ""
         section.pictures.append(Picture(f"{view} ({role}{few[view]:.0%} seen by fewer than {ENOUGH})",
                                         pixels=drawing.counts_over(thumbnail(samples[len(samples) // 2].rgb), counts[view])))
     section.columns = {f"Seen by < {ENOUGH}": {view: f"{value:.0%}" for view, value in few.items()}}
@@ -95,12 +95,12 @@ def plan(space: Space, inspection: Inspection) -> str:
         toward = toward / max(length, 1e-9)
         half = np.arctan(camera.width / 2 / camera.fx)
         wedge = [place + 34 * (np.array([[np.cos(t), -np.sin(t)], [np.sin(t), np.cos(t)]]) @ toward) for t in (-half, half)]
-        held = view in inspection.capture.held_out_views
-        colour = "#7a3fb0" if held else "#1d4f91"
+        held_out = view in inspection.capture.held_out_views
+        colour = "#7a3fb0" if held_out else "#1d4f91"
         if length > 0.2:
             corners = " ".join(f"{a:.1f},{b:.1f}" for a, b in (place, *wedge))
             parts.append(f'<polygon points="{corners}" fill="{colour}" fill-opacity="0.25" stroke="{colour}"/>')
         parts.append(f'<circle cx="{place[0]:.1f}" cy="{place[1]:.1f}" r="4" fill="{colour}"/>')
-        parts.append(text(place[0], place[1] - 8, view + (" (held out)" if held else ""), "middle", INK, 'font-size="11"'))
+        parts.append(text(place[0], place[1] - 8, view + (" (held out)" if held_out else ""), "middle", INK, 'font-size="11"'))
     parts.append(text(8, size[1] - 8, "from above; dots: matched features; violet: held out", colour=SOFT))
     return drawing.svg(size[0], size[1], parts)

@@ -78,7 +78,7 @@ def run(args: argparse.Namespace) -> None:
     if frames is not None:
         note_frames_outside(source, frames)
     lines: list[str] = []
-    held = len(model)
+    count = len(model)
     page = web_page.is_page(targets[0])
     packs = bool(args.compress) or page
     total = PARTS * len(targets) if packs or len(targets) > 1 else 0
@@ -103,13 +103,13 @@ def run(args: argparse.Namespace) -> None:
                     else:
                         formats.save(result, target, args.compress, partial(_move, bar, done))
                 bar.to((done + 1) * PARTS)
-                held = len(formats.open_source(target) if args.compress and not page else result)  # compression leaves Gaussians out
-                lines.append(f"{target}: {held} Gaussians, {human_bytes(target.stat().st_size)}")
+                count = len(formats.open_source(target) if args.compress and not page else result)  # compression leaves Gaussians out
+                lines.append(f"{target}: {count} Gaussians, {human_bytes(target.stat().st_size)}")
     finally:  # once the bar is away
         for line in lines if not (args.json or args.quiet) else ():
             say(line)
     if args.json:
-        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": held, "losses": losses})
+        print_json({"input": args.input, "outputs": [str(t) for t in targets], "gaussians": count, "losses": losses})
     for loss in losses:
         note(f"lost: {loss}")
 

@@ -83,14 +83,14 @@ def _sections(data: bytes, size: int) -> tuple[tuple, list[_Section]]:
     damaged_if(HEADER + most * SECTION > size, f"the file is cut short: its header promises {most} sections")
     at, sections = HEADER + most * SECTION, []
     for place in range(HEADER, min(at, len(data) - SECTION + 1), SECTION):
-        _, held, bucket, buckets, edge, width, reach, _, full, partial, degree = PART.unpack_from(data, place)
-        if degree not in HARMONICS or (level and held and (width != 12 or full + partial > buckets)):
+        _, count, bucket, buckets, edge, width, reach, _, full, partial, degree = PART.unpack_from(data, place)
+        if degree not in HARMONICS or (level and count and (width != 12 or full + partial > buckets)):
             raise FastGSError("a section's header makes no sense; the file is damaged, so copy or export it again.")
         reach = reach or (RANGE if level else 1)
         records = at + 4 * partial + width * buckets
-        sections.append(_Section(held, bucket, full, partial, buckets, edge / 2 / reach, reach, degree, at, at + 4 * partial, records))
-        at = records + held * _record(level, degree).itemsize
-        damaged_if(at > size, f"the file is cut short: a section promises {held} Gaussians")
+        sections.append(_Section(count, bucket, full, partial, buckets, edge / 2 / reach, reach, degree, at, at + 4 * partial, records))
+        at = records + count * _record(level, degree).itemsize
+        damaged_if(at > size, f"the file is cut short: a section promises {count} Gaussians")
     return main, sections
 
 

@@ -77,20 +77,20 @@ def _standing(source: Chapters) -> Piece | None:
 
 def _shared(sources: list[Chapters]) -> Iterator[Piece]:
     """The Gaussians of the standing pieces, each once for a run of sources that have it.  A piece's first and count are of sources."""
-    before, begun, held = None, np.zeros(0, int), None
+    before, begun, current = None, np.zeros(0, int), None
     for s, source in enumerate([*sources, None]):
         piece = None if source is None else _standing(source)
         model = None if piece is None else piece.read()
         same = np.full(0 if model is None else len(model), -1)
         if before is not None and model is not None:
             same = same_rows(before, model)
-        if held is not None:
-            ending = np.setdiff1d(np.arange(held.size), same)
+        if current is not None:
+            ending = np.setdiff1d(np.arange(current.size), same)
             for first in np.unique(begun[ending]).tolist():
                 rows = ending[begun[ending] == first]
-                yield Piece(first, s - first, len(rows), _Rows(held, rows, s - first > 1))
+                yield Piece(first, s - first, len(rows), _Rows(current, rows, s - first > 1))
         begun = np.where(same >= 0, begun[same] if len(begun) else s, s)
-        before, held = model, piece
+        before, current = model, piece
 
 
 @dataclass(frozen=True, eq=False)

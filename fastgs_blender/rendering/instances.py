@@ -116,8 +116,8 @@ class ObjectSettings:
         for name, look in LOOKS.items():
             value = getattr(self, name)
             with np.errstate(over="ignore"):  # in single precision, in which Blender and kernels hold them
-                held, low, high = (np.asarray(x, np.float32) for x in (value, look.low, look.high))
-            if not ((held >= low) & (held <= high)).all():
+                values, low, high = (np.asarray(x, np.float32) for x in (value, look.low, look.high))
+            if not ((values >= low) & (values <= high)).all():
                 raise FastGSError(f"the setting {name} of an object must lie between {look.low:g} and {look.high:g}, not {value!r}.")
         if len(self.tint) != 3:
             raise FastGSError("the setting tint of an object must be three numbers, of red, green and blue.")

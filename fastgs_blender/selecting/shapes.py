@@ -42,15 +42,15 @@ class Stroke:
         pixel, path = np.asarray(pixel, np.float64), np.asarray(self.middles, np.float64)
         order = _around(pixel, path.min(0) - self.radius, path.max(0) + self.radius)
         near = pixel[order]
-        held = np.zeros(len(order), bool)
+        inside = np.zeros(len(order), bool)
         for start, end in zip(path, path[1:] if len(path) > 1 else path, strict=False):
             low, high = sorted((start[1], end[1]))
             rows = slice(*np.searchsorted(near[:, 1], (low - self.radius, high + self.radius)))
             along, offset = end - start, near[rows] - start
             share = np.clip(offset @ along / max(along @ along, 1e-12), 0, 1)
-            held[rows] |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
+            inside[rows] |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
         out = np.zeros(len(pixel), bool)
-        out[order] = held
+        out[order] = inside
         return out
 
 

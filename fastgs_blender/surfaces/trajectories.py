@@ -231,9 +231,9 @@ def fit_paths(surface: MovingSurface, samples: SurfaceSamples, t: np.ndarray, fr
         distance[first:last] = lengths(_blend(off, corner[own], weights[own].astype(np.float32)))
 
     run(piece, ranges(len(samples), _rows(12 * len(t))), progress)
-    held = [distance[part[measured] == p] for p in range(len(sizes))]
-    mean = np.array([values.mean(dtype=np.float64) if values.size else 0.0 for values in held])
-    percentile = np.array([np.percentile(values, TAIL) if values.size else 0.0 for values in held])
+    errors = [distance[part[measured] == p] for p in range(len(sizes))]
+    mean = np.array([values.mean(dtype=np.float64) if values.size else 0.0 for values in errors])
+    percentile = np.array([np.percentile(values, TAIL) if values.size else 0.0 for values in errors])
     worst = int((np.maximum(mean / tolerance, percentile / tail) / sizes).argmax())
     largest, sample, time = _farthest(surface, samples, fit, np.flatnonzero(part == worst), bound)
     return Paths(chosen, constant, coefficients, worst, float(mean[worst]), float(percentile[worst]), largest, sample, time)

@@ -204,11 +204,11 @@ def write_page(stream: TextIO, page: Page, files: Iterable[bytes], player: Mappi
     player = player_files() if player is None else player
     workers = {name.removesuffix(".js"): joined(name, player) for name in player if name.endswith("_worker.js")}
     parts = {}
-    with tempfile.TemporaryFile("w+", encoding="ascii", newline="\n") as held:  # the description comes first, and sums them up
+    with tempfile.TemporaryFile("w+", encoding="ascii", newline="\n") as spool:  # the description comes first, and sums them up
         for i, data in enumerate(files):
-            parts[f"model-{i}"] = _kept(held, f"model-{i}", data)
+            parts[f"model-{i}"] = _kept(spool, f"model-{i}", data)
         if page.sound:
-            parts["sound"] = _kept(held, "sound", page.sound.data)
+            parts["sound"] = _kept(spool, "sound", page.sound.data)
         description = page.description() | {"parts": parts, "workers": {name: zlib.crc32(text.encode()) for name, text in workers.items()}}
         script, style = joined("main.js", player), player["page.css"]
         picture = f'src="data:image/png;base64,{_base64(page.poster or b"")}"'
@@ -219,8 +219,8 @@ def write_page(stream: TextIO, page: Page, files: Iterable[bytes], player: Mappi
             title=html.escape(page.title), style=style, poster=poster, script=script))
         stream.write(_data("scene", "application/json", json.dumps(description, separators=(",", ":"), allow_nan=False)))
         stream.writelines("\n" + _data(name, "text/plain", text) for name, text in workers.items())
-        held.seek(0)
-        shutil.copyfileobj(held, stream)
+        spool.seek(0)
+        shutil.copyfileobj(spool, stream)
         stream.write(tail)
 
 

@@ -38,5 +38,5 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) ->
     """
     cores = max(os.cpu_count() or 1, 1)
     seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
-    held = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
-    return seconds, BASE_MEMORY + held + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
+    cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
+    return seconds, BASE_MEMORY + cached + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels

@@ -1,8 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Begins a segment of a long capture from the one before: what stands still there is taken over and held, and the rest is trained.
 
-settled() makes Gaussians of a trained segment that hardly move stand still exactly.  The next segment holds them as they are, number for
-number, so that no still pixel flickers where segments change over, and a file keeps them once (run/segments.py).
+freeze_still() makes Gaussians of a trained segment that hardly move stand still exactly.  The next segment takes them as they are, number
+for number, so that no still pixel flickers where segments change over, and a file keeps them once (run/segments.py).
 """
 from collections.abc import Callable
 from dataclasses import replace
@@ -44,7 +44,7 @@ SURE = 0.5
 WAYS = np.array([(0, 0), (1, 0), (-1, 0), (0, 1), (0, -1)], float)
 
 
-def settled(model: GaussianModel, capture: Capture, store: Any, settings: Settings) -> GaussianModel:
+def freeze_still(model: GaussianModel, capture: Capture, store: Any, settings: Settings) -> GaussianModel:
     """The model with the Gaussians of which the films show that they stand still as they are on average, without motion."""
     times = np.linspace(0, (model.clip.frame_count - 1) / model.clip.frame_count, SAMPLES)
     places = np.stack([positions_at(model, t) for t in times])
@@ -108,7 +108,7 @@ def _within_mask(settings: Settings, capture: Capture, shot: Shot, pixels: Pixel
 
 
 def stands(model: GaussianModel) -> np.ndarray:
-    """Which Gaussians [N] of a settled model stand still and stay."""
+    """Which Gaussians [N] of such a model stand still and stay."""
     moves = model.motion.any((1, 2)) | model.rotation_motion.any((1, 2))
     tinted = model.features[:, 6:9].any(1) if isinstance(model.appearance, Features) else False
     return ~(moves | tinted) & (model.temporal == FLAT).all(1)
@@ -124,9 +124,9 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     found, store = starting_points.initial_points(capture, store, settings, say, progress)
     timed = found.take(np.flatnonzero(np.isfinite(found.t))) if found.t is not None else found.take(slice(0, 0))
     sizes = np.exp(before.scale.max(1))
-    held = stands(before) & (_calm(before.position, sizes, capture, store, settings, earlier) > 0)
+    frozen = stands(before) & (_calm(before.position, sizes, capture, store, settings, earlier) > 0)
     rests = _calm(positions_at(before, at), sizes, capture, store, settings)
-    models = [before.take(np.flatnonzero(held)), _going_on(before.take(np.flatnonzero(~held)), at, settings, rests[~held] >= CALM)]
+    models = [before.take(np.flatnonzero(frozen)), _going_on(before.take(np.flatnonzero(~frozen)), at, settings, rests[~frozen] >= CALM)]
     room = max(settings.max_gaussians - sum(map(len, models)), 0)
     # what rests is known by now
     timed = timed.take(np.flatnonzero(_calm(timed.xyz, np.zeros(len(timed)), capture, store, settings) < 1 - CALM))
@@ -135,8 +135,8 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
         models.append(model_from_points(timed, settings, capture.clip, capture.axes, capture.extent))
     arrays = {name: np.concatenate([model.arrays[name] for model in models]) for name in before.arrays}
     first = replace(before, **arrays, clip=capture.clip)
-    say(f"beginning with the segment before: {held.sum()} Gaussians are held, {len(models[1])} go on, {len(timed)} are new")
-    return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), frozen=int(held.sum()))
+    say(f"beginning with the segment before: {frozen.sum()} Gaussians are held, {len(models[1])} go on, {len(timed)} are new")
+    return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), frozen=int(frozen.sum()))
 
 
 def _going_on(model: GaussianModel, at: float, settings: Settings, rests: np.ndarray) -> GaussianModel:

@@ -176,29 +176,30 @@ def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float,
     back = np.arange(len(tracks)) % HELD_BACK == HELD_BACK - 1
     rest = tracks.take(~back)
     best, _ = bundle.adjusted(rig, rest, points[~back])
-    held = tracks.take(back)
-    sure = _surely_better(rig, best, held) & np.isin(np.arange(len(rig.lens)), rest.camera)
+    validation = tracks.take(back)
+    sure = _surely_better(rig, best, validation) & np.isin(np.arange(len(rig.lens)), rest.camera)
     focal = np.isin(rig.lens, rig.lens[sure])  # cameras with one lens have one focal length
     better = replace(best, turns=np.where(sure[:, None, None], best.turns, rig.turns),
                      centres=np.where(sure[:, None], best.centres, rig.centres), shrink=np.where(focal, best.shrink, rig.shrink))
-    before, after = (float(np.median(bundle.track_errors(each, held, bundle.placed(each, held)))) for each in (rig, better))
+    before, after = (float(np.median(bundle.track_errors(each, validation, bundle.placed(each, validation)))) for each in (rig, better))
     return better, before, after, sure | focal
 
 
-def _surely_better(given: bundle.Rig, better: bundle.Rig, held: bundle.Tracks) -> np.ndarray:
+def _surely_better(given: bundle.Rig, better: bundle.Rig, validation: bundle.Tracks) -> np.ndarray:
     """Which cameras [V] have features in held-back tracks that surely lie nearer to where the better rig's other cameras put their points,
     than by the given camera.  (Where one camera is wrong, points get better for all that see them.)"""
     sure = np.zeros(len(given.lens), bool)
     for camera in range(len(sure)):
-        own = held.camera == camera
-        others = ~own & np.isin(held.point, held.point[own])
-        known = others & (np.bincount(held.point[others], minlength=len(held))[held.point] > 1)
+        own = validation.camera == camera
+        others = ~own & np.isin(validation.point, validation.point[own])
+        known = others & (np.bincount(validation.point[others], minlength=len(validation))[validation.point] > 1)
         if not known.any():
             continue
-        points, number = np.unique(held.point[known], return_inverse=True)
-        placed = bundle.placed(better, bundle.Tracks(held.camera[known], number, held.rays[known], held.slopes[known]))
-        looks = own & np.isin(held.point, points)
-        mine = bundle.Tracks(held.camera[looks], np.searchsorted(points, held.point[looks]), held.rays[looks], held.slopes[looks])
+        points, number = np.unique(validation.point[known], return_inverse=True)
+        placed = bundle.placed(better, bundle.Tracks(validation.camera[known], number, validation.rays[known], validation.slopes[known]))
+        looks = own & np.isin(validation.point, points)
+        mine = bundle.Tracks(validation.camera[looks], np.searchsorted(points, validation.point[looks]), validation.rays[looks],
+                             validation.slopes[looks])
         before, after = (np.linalg.norm(bundle.misses(rig, mine, placed), axis=1).clip(max=WIDE) for rig in (given, better))
         nearer = before - after
         if len(nearer) >= LEAST_HELD:

@@ -30,7 +30,7 @@ from ..core.measure import measure
 from ..core.processes import Processes
 from ..core.state import LONGEST, is_number
 from ..core.trainer import Trainer
-from ..initial.continued import settled, start_after
+from ..initial.continued import freeze_still, start_after
 from ..initial.refine import refinement
 from ..initial.start import start
 from ..initial.visual_hull import hull_of
@@ -143,7 +143,7 @@ class _Session:
             self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
             model = self._trained(capture, store, cuts, folder, number, "cpu", earlier)
         if len(cuts) > 1:  # the model replaces the checkpoint
-            model = settled(model, capture, store, self.plan.settings) if self.plan.settings.segment_steps else model
+            model = freeze_still(model, capture, store, self.plan.settings) if self.plan.settings.segment_steps else model
             checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
             written.write(model, folder / SEGMENT_MODEL)
             (folder / CHECKPOINT).unlink(missing_ok=True)
