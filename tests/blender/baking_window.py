@@ -7,7 +7,7 @@ import os
 import bpy
 from mathutils import Euler
 from on_gpu import matter, part
-from window import area_of, press, seen_by, settled, shot, until, within
+from window import area_of, press, seen_by, settled, shot, turns, until, within
 
 FRAMES = 24
 
@@ -37,7 +37,7 @@ def from_mesh_to_splats():
     """Object > Bake to 4D Gaussians; what the status bar says meanwhile, whether the view turns, and what is there afterwards."""
     scene, obj = flag()
     bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'
-    yield 0.5
+    yield from turns()
     area = area_of()
     view = area.spaces.active.region_3d
     view.view_perspective = 'PERSP'
@@ -45,7 +45,7 @@ def from_mesh_to_splats():
     view.view_location = (0, 0, 1)
     with within(area):
         bpy.ops.fastgs.bake('INVOKE_DEFAULT', filepath=os.path.abspath("flag.safetensors"), count=30_000, hide_source=True)
-    yield 1.5
+    yield from turns(10)
     stepwise, told = part("operators.stepwise").Stepwise, []
     show = stepwise._show
 

@@ -9,7 +9,7 @@ import bpy
 from bpy_extras.view3d_utils import location_3d_to_region_2d as project
 from mathutils import Euler, Vector
 from training_window import part
-from window import area_of, press, shot, sidebar, until, within
+from window import area_of, press, settled, shot, sidebar, turns, until, within
 
 
 def kinds():
@@ -21,17 +21,17 @@ def from_browser_to_frusta(capture):
     """Import Capture Cameras through Blender's full-screen browser; the view is turned meanwhile; frusta before and after Set Scale."""
     bpy.ops.wm.read_homefile(use_empty=True)
     bpy.context.preferences.view.filebrowser_display_type = 'SCREEN'
-    yield 0.5
+    yield from turns()
     area = area_of()
     yield from sidebar(area)
     before = kinds()
     with within(area):
         bpy.ops.fastgs.import_capture('INVOKE_DEFAULT')
-    yield 1.5
+    yield from turns(10)
     browser = area_of('FILE_BROWSER')
     full = kinds()
     browser.spaces.active.params.directory = f"{os.path.abspath(capture)}/".encode()
-    yield 1.0
+    yield from turns(10)
     undistorted = part("scene.cameras.undistorted")
     save, told, event = undistorted._save, [], threading.Event()
 
@@ -44,7 +44,7 @@ def from_browser_to_frusta(capture):
     undistorted._save = slowly
     yield from press('RET', browser)
     yield from until(lambda: len(told) > 6)
-    yield 1.0
+    yield from turns()
     during = kinds()
     area = area_of()
     turn = area.spaces.active.region_3d.view_rotation.copy()
@@ -56,9 +56,9 @@ def from_browser_to_frusta(capture):
     event.set()
     yield from until(lambda: any(obj.type == 'CAMERA' for obj in bpy.context.scene.objects))
     undistorted._save = save
-    yield 1.0
+    yield from turns()
     facts = {"before": before, "full": full, "during": during, "turned": turned, "frusta": {}}
-    shot("captured")
+    yield from settled("captured")
     bpy.context.scene.fastgs.show_pictures = True
     for name, scale in (("frusta", 1.0), ("frusta-scaled", 0.5)):
         facts["frusta"][name] = yield from frusta(name, scale)
@@ -86,8 +86,7 @@ def frusta(name, scale):
     for shown in (False, True):
         scene.fastgs.show_pictures = shown
         area.tag_redraw()
-        yield 1.5
-        shot(f"{name}-{'pictures' if shown else 'wires'}")
+        yield from settled(f"{name}-{'pictures' if shown else 'wires'}")
     region = next(region for region in area.regions if region.type == 'WINDOW')
     plane = part("engine.viewport.frusta").plane
     height = bpy.context.window_manager.windows[0].height

@@ -17,6 +17,8 @@ from PIL import Image
 import fastgs_blender as fg
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "fireside.safetensors"
+KERNELS = Path(__file__).resolve().parents[2] / "build" / "cache"
+"""What the other tests have compiled."""
 ROOT = os.environ.get("FASTGS_BLENDER_ROOT", "")
 """A folder made by blender_root.sh."""
 OUTPUT = Path(os.environ.get("FASTGS_BLENDER_OUTPUT", ""))
@@ -45,7 +47,16 @@ def user(newcomer) -> User:
     """Somebody who has installed the extension's zip."""
     user = User(newcomer.root, newcomer.folder)
     user.install(Path(os.environ["FASTGS_ZIP"]))
+    home = user.folder / user.home
+    lend_kernels(home / ".cache" / "fastgs-blender")  # of training
+    lend_kernels(next((home / ".config" / "blender").glob("*/extensions")) / ".user" / "user_default" / "fastgs_blender" / "kernels")
     return user
+
+
+def lend_kernels(folder: Path) -> None:
+    """Copy what the other tests have compiled: a Python of the same version finds it there, another compiles for itself."""
+    for kernels in KERNELS.glob("kernels-*"):
+        shutil.copytree(kernels, folder / kernels.name)
 
 
 @pytest.fixture(scope="session")

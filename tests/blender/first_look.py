@@ -6,7 +6,7 @@ from importlib import import_module
 
 import bpy
 from background import ADDON
-from window import area_of, press, seen_by, settled, shot, sidebar, within
+from window import area_of, press, seen_by, settled, sidebar, turns, within
 
 
 def seen():
@@ -19,7 +19,7 @@ def seen():
 def newcomer():
     """File > Import > Example, and nothing else; Rendered shading; the button for colours; Numpad-period and Home."""
     bpy.ops.wm.read_homefile(use_factory_startup=True)
-    yield 1.0
+    yield from turns()
     area = area_of()
     bpy.context.preferences.view.smooth_view = 0
     with within(area):
@@ -41,22 +41,20 @@ def newcomer():
         facts[name] = seen()
     with within(area):
         bpy.ops.fastgs.set_upright('INVOKE_DEFAULT')
-    yield 1.0
-    shot("first-upright")
+    yield from settled("first-upright")
     return facts
 
 
 def preferences():
     """Our preferences, as Blender draws them, in the place of the 3D view."""
     bpy.ops.wm.read_homefile(use_factory_startup=True)
-    yield 1.0
+    yield from turns()
     area = area_of()
     area.ui_type = 'PREFERENCES'
     bpy.context.preferences.active_section = 'ADDONS'
     bpy.data.window_managers[0].addon_search = "FAST-GS"
     with within(area):
         bpy.ops.preferences.addon_expand(module=ADDON)
-    yield 2.0
-    shot("first-preferences")
+    yield from settled("first-preferences")
     guide = import_module(f"{ADDON}.scene.pages").path("guide")
     return {"guide": guide.name, "words": guide.read_text("utf-8").count("FAST-GS")}

@@ -2,7 +2,7 @@
 """Runs a story inside Blender: blender ... -P inside.py -- MODULE.FUNCTION ARGUMENTS.json ANSWER.json
 
 A story is a function of the arguments that returns facts (what JSON holds) for the test to judge.  In a window it may be a
-generator, which yields the seconds to wait: Blender handles events and redraws meanwhile.
+generator, which yields the seconds to wait: Blender's loop goes round at least once, handles events and redraws.
 """
 from __future__ import annotations
 
@@ -46,11 +46,23 @@ def begin():
         result = getattr(importlib.import_module(module), function)(**json.load(file))
     if not isgenerator(result):
         end(facts=result)
-    bpy.app.timers.register(tick, first_interval=1.0, persistent=True)
-    return result
+    bpy.app.timers.register(tick, first_interval=0.0, persistent=True)
+    return at_full_size(result)
+
+
+def at_full_size(steps):
+    """The story, once the window fills the screen and has been drawn."""
+    wanted = [int(number) for number in os.environ["SCREEN"].split("x")]
+    window = bpy.context.window_manager.windows[0]
+    for _ in range(5):
+        while [window.width, window.height] != wanted:
+            yield 0.05
+        yield 0.05
+    return (yield from steps)
 
 
 bpy.context.preferences.view.show_splash = False
+bpy.context.preferences.inputs.mouse_double_click_time = 1  # ms: two clicks of a story are two, however soon the second comes
 try:
     story = begin()
 except BaseException:  # noqa: BLE001 (the test outside is told of it)

@@ -7,7 +7,7 @@ import sys
 import bpy
 from background import ADDON, bring, look
 from mathutils import Euler, Vector
-from window import area_of, press, seen_by, settled, until, within
+from window import area_of, press, seen_by, settled, turns, until, within
 
 
 def drawn():
@@ -60,7 +60,7 @@ def ways(model):
     # four views, one of them free
     with within(area):
         bpy.ops.screen.region_quadview()
-    yield 0.5
+    yield from turns()
     for quad in space.region_quadviews:
         quad.view_location, quad.view_distance = (2.5, 0, 0.7), 9.0
     yield from settled("quad")
@@ -68,7 +68,7 @@ def ways(model):
     facts["quad"] = [seen_by(area, region, quad) for region, quad in zip(windows, space.region_quadviews)]
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0], area=area, region=windows[-1]):
         bpy.ops.screen.region_quadview()
-    yield 0.5
+    yield from turns()
 
     # through the camera with a border to render
     view = space.region_3d

@@ -18,11 +18,11 @@ from importlib import import_module
 import bpy
 from background import ADDON, look
 from mathutils import Euler
-from window import press
+from window import press, turns
 
 LAP = 30
 """Actions between two rests in an empty file."""
-REST = (0.0, 0.05, 0.15, 0.4)
+REST = (0.0, 0.0, 0.05, 0.2)
 """Seconds between two actions."""
 OFTEN = {"do_orbit": 4, "do_shading": 4, "do_play": 3, "do_scrub": 3, "do_undo": 2, "do_import": 2}
 """How many times as often as the other actions."""
@@ -200,7 +200,7 @@ class Monkey:
         context, _ = self.view()
         with context:
             bpy.ops.wm.open_mainfile(filepath=os.path.abspath(self.random.choice(self.files)), load_ui=self.random.random() < 0.5)
-        yield 0.3
+        yield from turns()
 
     def do_begin_anew(self):
         context, _ = self.view()
@@ -208,7 +208,7 @@ class Monkey:
             bpy.ops.wm.read_homefile()
         # Eevee alone takes half a GiB and a quarter of a minute of software OpenGL
         bpy.context.window_manager.windows[0].scene.render.engine = 'BLENDER_WORKBENCH'
-        yield 0.3
+        yield from turns()
 
     def do_split(self):
         window, area = self.area()
@@ -239,14 +239,14 @@ class Monkey:
             context, _ = self.view()
             with context:
                 bpy.ops.screen.area_dupli('INVOKE_DEFAULT')
-            yield 0.3
+            yield from turns()
 
     def do_close_window(self):
         windows = list(bpy.context.window_manager.windows)
         if len(windows) > 1:
             with bpy.context.temp_override(window=self.random.choice(windows[1:])):
                 bpy.ops.wm.window_close()
-            yield 0.3
+            yield from turns()
 
     def do_render_with_meshes(self):
         bpy.context.window_manager.windows[0].scene.fastgs.render_meshes = self.random.choice(('OFF', 'CYCLES', 'EEVEE'))
@@ -287,12 +287,12 @@ def rest():
     while len(bpy.context.window_manager.windows) > 1:
         with bpy.context.temp_override(window=bpy.context.window_manager.windows[-1]):
             bpy.ops.wm.window_close()
-        yield 0.3
+        yield from turns()
     while bpy.app.is_job_running('RENDER'):
         yield 0.2
     with bpy.context.temp_override(window=bpy.context.window_manager.windows[0]):
         bpy.ops.wm.read_homefile(use_empty=True, use_factory_startup=False)
-    yield 1.0
+    yield from turns(10)
     gc.collect()
     ctypes.CDLL("libc.so.6").malloc_trim(0)  # what is free in the heap is not held
 
@@ -314,7 +314,7 @@ def run(actions, seed, models, files, laps):
         bpy.ops.import_scene.fastgs(filepath=os.path.abspath(model), use_engine=True)
         look(bpy.context.scene, 160, 120)
         bpy.ops.wm.save_as_mainfile(filepath=os.path.abspath(path))
-        yield 0.5
+        yield from turns()
     monkey = Monkey(seed, models, files)
     gpu, grown = [], []
 

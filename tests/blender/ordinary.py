@@ -8,7 +8,7 @@ from importlib import import_module
 import bpy
 from background import ADDON, bring, look
 from mathutils import Euler, Vector
-from window import area_of, press, seen_by, settled, until, within
+from window import area_of, press, seen_by, settled, turns, until, within
 
 
 def operators(model):
@@ -47,7 +47,7 @@ def operators(model):
     bpy.context.view_layer.objects.active = splats
     with within(area):
         bpy.ops.object.join('EXEC_DEFAULT', True)
-    yield 2.0
+    yield from turns(10)
     facts["joined"] = sorted((o.name, len(o.data.polygons)) for o in scene.objects if o.type == 'MESH')
     yield from away(area)
     yield from settled("ordinary-joined")
@@ -59,7 +59,7 @@ def operators(model):
         bpy.ops.mesh.select_random(ratio=0.5)
         bpy.ops.mesh.delete(type='VERT')
         bpy.ops.object.mode_set(mode='OBJECT')
-    yield 2.0
+    yield from turns(10)
     yield from away(area)
     yield from settled("ordinary-edited")
 
@@ -81,7 +81,6 @@ def operators(model):
 
     # hidden, shown, deleted: the picture follows
     splats.hide_set(True)
-    yield 0.5
     yield from settled("ordinary-hidden")
     splats.hide_set(False)
     yield from settled("ordinary-shown")
@@ -105,7 +104,7 @@ def away(area):
     window = bpy.context.window_manager.windows[0]
     for x in range(0, 300, 60):
         window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=area.x + area.width - 20 - x, y=area.y + 20)
-        yield 0.2
+        yield from turns()
 
 
 def click(area, place):
@@ -117,11 +116,11 @@ def click(area, place):
     x, y = region.x + round(at.x), min(region.y + round(at.y), region.y + region.height - 60)
     window = bpy.context.window_manager.windows[0]
     window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
-    yield 0.5
+    yield from turns()
     for value in ('PRESS', 'RELEASE'):
         window.event_simulate(type='LEFTMOUSE', value=value, x=x, y=y)
-        yield 0.1
-    yield 1.0
+        yield from turns()
+    yield from turns()
 
 
 def engines(model, frames):
@@ -144,5 +143,5 @@ def engines(model, frames):
             scene.frame_set(int(frame), subframe=frame % 1)
             scene.render.filepath = os.path.abspath(f"engine-{name}-{frame:g}.png")
             bpy.ops.render.render(write_still=True)
-        yield 0.1
+        yield from turns(1)
     return facts

@@ -7,7 +7,7 @@ import os
 import bpy
 from background import bring, look
 from on_gpu import part
-from window import area_of, press, settled, shot, until, within
+from window import area_of, press, settled, turns, until, within
 
 NAME = "knot.html"
 
@@ -26,16 +26,15 @@ def from_menu_to_report(model):
     part("fastgs_blender.formats.web").LARGE = 0.3  # MB beyond which a page is large
     for module, name, value in (("sensitivity", "WIDTH", 64), ("rate", "SHOTS", 8), ("rate", "JUDGED", 3), ("rate", "SHOWN", 64)):
         setattr(part(f"fastgs_blender.formats.{module}"), name, value)  # compression looks at little
-    yield 0.5
+    yield from turns()
     area = area_of()
     with within(area):
         bpy.ops.wm.call_menu(name="TOPBAR_MT_file_export")
-    yield 1.0
-    shot("page-menu")
+    yield from settled("page-menu")
     yield from press('ESC', area)
     with within(area):
         bpy.ops.fastgs.export_page('INVOKE_DEFAULT', filepath=os.path.abspath(NAME), title="A knot")
-    yield 1.5
+    yield from turns(10)
     browser = area_of('FILE_BROWSER')
     browser.spaces.active.params.display_type = 'LIST_VERTICAL'
     yield from settled("page-dialog")
@@ -48,6 +47,5 @@ def from_menu_to_report(model):
     yield from settled("page-dialog-colour")
     yield from press('RET', browser)
     facts["written"] = yield from until(lambda: os.path.exists(NAME))
-    yield 2.0
-    shot("page-exported")
+    yield from settled("page-exported")
     return facts

@@ -10,7 +10,7 @@ import bpy
 from background import ADDON, bring, look
 from looking import drawn
 from mathutils import Euler, Matrix, Vector
-from window import area_of, f12, seen_by, settled, shot, through_camera, until, within
+from window import area_of, f12, seen_by, settled, shot, through_camera, turns, until, within
 
 
 def part(name):
@@ -53,7 +53,7 @@ def rendered(model):
     splats.location.z = 0.05
     view.view_rotation = Euler((1.0, 0, -0.35)).to_quaternion()
     view.view_location, view.view_distance = (0, 0, 0.6), 6.5
-    yield 0.5
+    yield from turns()
     towards = view.view_rotation @ Vector((0, 0, 1))
     side = view.view_rotation @ Vector((1, 0, 0))
     middle = Vector((0, 0, 0.05))
@@ -68,7 +68,7 @@ def rendered(model):
     yield from settled("without-overlays")
     evening()
     sky = part("scene.sky").sky
-    yield 0.5
+    yield from turns()
     began = yield from until(lambda: sky.latest() is not None)
     yield from settled("world")
     return {**facts, "sky": bool(began)}
@@ -79,7 +79,7 @@ def world(model):
     area, facts = yield from through_camera(model, 12)
     evening()
     sky = part("scene.sky").sky
-    yield 0.5
+    yield from turns()
     yield from until(lambda: sky.latest() is not None)
     yield from settled("world-rendered")
     yield from f12(area)

@@ -55,7 +55,6 @@ def things(model):
     before = splat().fastgs.selection
     yield from drag(at((0, 40), (0, 40)))
     facts["click grown"] = yield from until(lambda: selected() > 20)  # it touches six
-    yield 0.5
     yield from settled("things-clicked")
     keep("clicked")
     with within(area):
@@ -85,8 +84,7 @@ def things(model):
     with within(area):
         bpy.ops.fastgs.delete_for_good('INVOKE_DEFAULT', filepath=target)
     facts["asks"] = yield from until(lambda: any(a.type == 'FILE_BROWSER' for a in bpy.context.window_manager.windows[0].screen.areas))
-    yield 1.0
-    shot("things-asks")
+    yield from settled("things-asks")
     browser = area_of('FILE_BROWSER')
     facts["proposed"] = browser.spaces.active.params.filename
     browser.spaces.active.params.filename = os.path.basename(target)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import bpy
 from background import bring
 from mathutils import Euler
-from window import area_of, seen_by, settled, until, within
+from window import area_of, seen_by, settled, turns, until, within
 
 
 def watched(model):
@@ -62,7 +62,7 @@ def watched(model):
     yield from settled("stand-ins-cycles")
     facts = seen_by(area)
     space.shading.type = 'SOLID'
-    yield 0.5
+    yield from turns()
     now = part("with splats again")
     scene.fastgs.show_splats = True
     yield from settled("stand-ins-with")

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from blenders import Failed
-from conftest import psnr, read_png
+from conftest import lend_kernels, psnr, read_png
 
 BASE, ENVIRONMENT, KERNELS = "training-base", "training-environment", "training-kernels"
 """Folders in the working folder: the Python that is lent, an environment of it with what is installed here, its compiled kernels."""
@@ -24,8 +24,9 @@ def environment(user):
         pytest.skip(f"the training environment cannot be lent: there is no {program}")
     place = user.folder / ENVIRONMENT
     inside = place / "lib" / name / "site-packages"
-    for folder in (user.folder / BASE, place / "bin", inside, user.folder / KERNELS):
+    for folder in (user.folder / BASE, place / "bin", inside):
         folder.mkdir(parents=True, exist_ok=True)
+    lend_kernels(user.folder / KERNELS)
     (place / "pyvenv.cfg").write_text(f"home = /mnt/{BASE}/bin\ninclude-system-site-packages = false\n")
     (place / "bin" / name).symlink_to(f"/mnt/{BASE}/bin/{name}")
     start = place / "bin" / "python"

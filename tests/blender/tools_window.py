@@ -7,7 +7,7 @@ from importlib import import_module
 import bpy
 from background import ADDON, bring, look
 from mathutils import Euler
-from window import area_of, press, seen_by, settled, shot, sidebar, through_camera, within
+from window import area_of, press, seen_by, settled, shot, sidebar, through_camera, turns, within
 
 
 def drag(places, **held):
@@ -15,21 +15,20 @@ def drag(places, **held):
     window = bpy.context.window_manager.windows[0]
     places = [(int(x), int(y)) for x, y in places]
     window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=places[0][0], y=places[0][1])
-    yield 0.3
+    yield from turns()
     for key in held:
         window.event_simulate(type=f"LEFT_{key.upper()}", value='PRESS', x=places[0][0], y=places[0][1], **held)
-    yield 0.2
+    yield from turns()
     window.event_simulate(type='LEFTMOUSE', value='PRESS', x=places[0][0], y=places[0][1], **held)
-    yield 0.3
+    yield from turns()
     for x, y in places[1:]:
         window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y, **held)
-        yield 0.2
-    shot("dragged")
+        yield from turns()
     window.event_simulate(type='LEFTMOUSE', value='RELEASE', x=places[-1][0], y=places[-1][1], **held)
-    yield 0.5
+    yield from turns()
     for key in held:
         window.event_simulate(type=f"LEFT_{key.upper()}", value='RELEASE', x=places[-1][0], y=places[-1][1])
-    yield 0.2
+    yield from turns()
 
 
 def splat():
@@ -42,7 +41,7 @@ def choose(tool, area):
     area.spaces.active.show_region_toolbar = True
     with within(area):
         bpy.ops.wm.tool_set_by_id(name=tool)
-    yield 0.5
+    yield from turns()
 
 
 def erasing(model):

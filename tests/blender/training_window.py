@@ -10,7 +10,7 @@ from background import ADDON, look
 from held_runs import Barrier
 from mathutils import Euler
 from on_gpu import build, part
-from window import area_of, f12, press, settled, shot, sidebar, until, within
+from window import area_of, f12, press, settled, shot, sidebar, turns, until, within
 
 
 def toy():
@@ -31,12 +31,12 @@ def set_the_table():
         bpy.ops.screen.area_close()
     area_of('PROPERTIES').type = 'IMAGE_EDITOR'
     area_of('OUTLINER').type = 'TEXT_EDITOR'
-    yield 0.5
+    yield from turns()
     beside, below = area_of('TEXT_EDITOR'), area_of('IMAGE_EDITOR')
     for x, y, delta in ((beside.x - 2, beside.y + 20, -120), (below.x + 20, below.y + below.height, -60)):
         with within(beside):
             bpy.ops.screen.area_move(x=x, y=y, delta=delta)
-        yield 0.5
+        yield from turns()
     area = area_of()
     view = area.spaces.active.region_3d
     view.view_rotation = Euler((1.15, 0, 0.5)).to_quaternion()
@@ -51,10 +51,10 @@ def click(area, command, across=0.5):
     region = next(region for region in area.regions if region.type == 'UI')
     x = int(region.x + across * region.width)
     region.tag_redraw()
-    yield 1.0
+    yield from turns()
     for y in range(region.y + region.height - 10, region.y, -9):
         window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
-        yield 0.08
+        yield from turns(2)
         bpy.context.window_manager.clipboard = ""
         with bpy.context.temp_override(window=window, area=area, region=region):
             if bpy.ops.ui.copy_python_command_button.poll():
@@ -65,10 +65,10 @@ def click(area, command, across=0.5):
         raise AssertionError(f"the sidebar has no button {command}")
     for value in ('PRESS', 'RELEASE'):
         window.event_simulate(type='LEFTMOUSE', value=value, x=x, y=y)
-        yield 0.1
+        yield from turns()
     x, y = area.x + area.width // 4, area.y + area.height // 4
     window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)  # away from where a tooltip would come
-    yield 0.2
+    yield from turns()
 
 
 def held_filming():
@@ -97,16 +97,17 @@ def from_scene_to_shot(environment, cache):
     barrier = Barrier(os.path.abspath("training-barrier"))
     os.environ.update(barrier.variables)
     scene = toy()
-    yield 0.5
+    yield from turns()
     area = yield from set_the_table()
     preferences = bpy.context.preferences.addons[ADDON].preferences
     preferences.training_choice, preferences.training_python = 'CHOSEN', environment
-    settings = scene.fastgs.training
+    settings, train = scene.fastgs.training, part("operators.train")
+    options = train.arguments
+    train.arguments = lambda chosen: [*options(chosen), "--set", "checkpoint_seconds=1"]
     settings.source, settings.preset, settings.iterations, settings.max_gaussians = 'SCENE', 'DRAFT', 500, 4000
     settings.width, settings.height, settings.count, settings.samples, settings.frame_step = 160, 120, 8, 4, 2
     watch, displays, progress = part("scene.training.watch"), part("scene.training.displays"), part("scene.filming.progress")
-    yield 0.5
-    shot("train-panel")
+    yield from settled("train-panel")
     half = settings.iterations // 2
     barrier.hold_at(f"step {half}")
     release = held_filming()
@@ -124,7 +125,7 @@ def from_scene_to_shot(environment, cache):
     if not (yield from until(watch.found)):
         raise AssertionError("nothing is trained")
     job = watch.found()[0][0]
-    yield 3.0
+    yield from turns(10)
     shot("run-appears")
     settings.source = 'FOLDER'  # a shorter panel: all of the run is in sight
     kinds, texts = [], set()
@@ -140,14 +141,14 @@ def from_scene_to_shot(environment, cache):
 
     area_of('TEXT_EDITOR').spaces.active.text = None
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or barrier.reached.exists())
-    yield part("fastgs_blender.training.core.settings").Settings.checkpoint_seconds + 1  # so that a checkpoint is due after this step
+    yield 2.0  # so that a checkpoint is due after this step
     barrier.hold_at(f"step {half + 1}")
     yield from until(lambda: look_at() in ('FINISHED', 'FAILED') or (barrier.reached.exists() and images.image and "left" in watch.line()))
     log = area_of('TEXT_EDITOR').spaces.active
     log.text, log.top = bpy.data.texts.get(displays.LOG), 0
     with within(area_of('IMAGE_EDITOR')):
         bpy.ops.image.view_all(fit_view=True)
-    yield 0.5
+    yield from turns()
     shot("training")
     with within(area):
         bpy.ops.fastgs.train_import('INVOKE_DEFAULT')
@@ -161,20 +162,18 @@ def from_scene_to_shot(environment, cache):
     yield from until(lambda: any(obj.fastgs.filepath.endswith("model.safetensors") for obj in scene.objects))
     model = next(obj for obj in scene.objects if "fastgs_job" in obj)
     hidden = sorted(obj.name for obj in scene.objects if obj.hide_get() and obj.hide_render)
-    yield 0.5
+    yield from turns()
     shot("notified")
     window = bpy.context.window_manager.windows[0]
     window.event_simulate(type='ESC', value='PRESS')
     window.event_simulate(type='ESC', value='RELEASE')
-    yield 0.5
+    yield from turns()
     for obj in scene.objects:
         obj.hide_set(obj != model)
     yield from click(area, "fastgs.train_report", 0.8)
-    yield 1.0
-    shot("report")
+    yield from settled("report")
     yield from press('ESC', area)
     bpy.ops.fastgs.train_report()
-    yield 0.5
     scene.frame_set(3)
     yield from settled("trained")
 
@@ -205,7 +204,7 @@ def train_again(area, settings, job, barrier):
     """The Train button once more, into the folder of the finished run, which is begun anew: the states that the new job goes through."""
     watch = part("scene.training.watch")
     area.type = 'VIEW_3D'  # F12 has put the picture there
-    yield 1.0
+    yield from turns()
     settings.out, settings.existing, settings.iterations = job.out, 'OVERWRITE', 60
     yield from sidebar(area)
     shot("train-again")
@@ -227,8 +226,7 @@ def train_again(area, settings, job, barrier):
     yield from until(lambda: bpy.context.window_manager.windows[0].modal_operators or new.reported, 2)
     yield from press('ESC', area)  # the popup that tells of the end
     yield from click(area, "fastgs.train_forget", 0.81)
-    yield 1.0
-    shot("asked")
+    yield from settled("asked")
     listed = len(watch.refresh())
     yield from press('RET', area)
     yield from until(lambda: len(watch.refresh()) < listed)

@@ -7,44 +7,69 @@ from __future__ import annotations
 
 import math
 import os
-import subprocess
+import struct
 import sys
+import zlib
 from importlib import import_module
+from pathlib import Path
 
 import addon_utils
 import bpy
+import numpy as np
 from background import ADDON, bring, look
 from held_runs import GUARD
 from mathutils import Euler, Matrix, Vector
 
+SCREEN = "/tmp/Xvfb_screen0"  # noqa: S108 - a folder of this Blender's own
+"""Where window.sh's X server keeps what it shows, in the format of xwd."""
 
-def shot(name):
-    """A screenshot.  Blender's own operator takes black ones on software OpenGL."""
-    subprocess.run(["import", "-window", "root", "-define", "png:exclude-chunks=date,time", f"{name}.png"], check=True)
+
+def screen():
+    """The virtual screen, RGB [h, w, 3], from the file in which its server keeps it: no program is started to ask for it."""
+    data = Path(SCREEN).read_bytes()
+    header = [int(number) for number in np.frombuffer(data, ">u4", 20)]  # xwd's; behind it 12 bytes a colour of a palette
+    width, height, stride, begin = header[4], header[5], header[12], header[0] + 12 * header[19]
+    return np.frombuffer(data, np.uint8, height * stride, begin).reshape(height, -1, 4)[:, :width, 2::-1]
+
+
+def shot(name, picture=None):
+    """A screenshot, or a picture of screen(), as a PNG.  Blender's own operator takes black ones on software OpenGL."""
+    picture = screen() if picture is None else picture
+    height, width = picture.shape[:2]
+    rows = np.insert(picture.reshape(height, -1), 0, 0, axis=1)  # each begins with its filter: none
+    chunks = {b"IHDR": struct.pack(">2I5B", width, height, 8, 2, 0, 0, 0), b"IDAT": zlib.compress(rows.tobytes(), 1), b"IEND": b""}
+    Path(f"{name}.png").write_bytes(b"\x89PNG\r\n\x1a\n" + b"".join(
+        struct.pack(">I", len(data)) + kind + data + struct.pack(">I", zlib.crc32(kind + data)) for kind, data in chunks.items()))
+
+
+def turns(number=3):
+    """Let Blender's loop go round so often: each time it handles what was simulated and draws, however long that takes."""
+    for _ in range(number):
+        yield 0.0
 
 
 def under_way():
-    """Whether viewports wait for anything, such as a file or an order of the splats, that the extension's thread works on."""
+    """Whether viewports wait for anything, such as a file or an order of the splats, that the extension's thread works on.
+
+    One behind a full-screen editor or a picture is not drawn, and may wait for as long as that is there.
+    """
     spaces = sys.modules.get(f"{ADDON}.engine.viewport.spaces")
-    return spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces.viewports.views.values())
+    shown = any(area.type == 'VIEW_3D' for window in bpy.context.window_manager.windows for area in window.screen.areas)
+    return shown and spaces is not None and any(view.waiting or view.stale or view.coarse for view in spaces.viewports.views.values())
 
 
 def settled(name, limit=GUARD):
-    """A screenshot of when two in a row, half a second apart, were the same, and nothing more was under way."""
-    before, waited = None, 0.0
-    while waited < limit:
-        yield 0.5  # Blender draws in between, however long that takes
-        waited += 0.5
-        if under_way():
-            before = None
-            continue
-        shot(name)
-        with open(f"{name}.png", "rb") as file:
-            now = file.read()
-        if now == before:
-            return
+    """A screenshot of when the screen was the same in six looks in a row, a tenth of a second apart, and nothing was under way."""
+    before, same, waited = None, 0, 0.0
+    while same < 5:
+        if waited > limit:
+            raise AssertionError(f"the window did not come to rest within {limit} s")
+        yield 0.1  # Blender draws in between, however long that takes
+        waited += 0.1
+        now = screen()
+        same = same + 1 if np.array_equal(now, before) and not under_way() else 0
         before = now
-    raise AssertionError(f"the window did not come to rest within {limit} s")
+    shot(name, now)
 
 
 def area_of(kind='VIEW_3D'):
@@ -64,18 +89,18 @@ def press(key, area):
     window = bpy.context.window_manager.windows[0]
     x, y = area.x + area.width // 2, area.y + area.height // 2
     window.event_simulate(type='MOUSEMOVE', value='NOTHING', x=x, y=y)
-    yield 0.3
+    yield from turns()
     for value in ('PRESS', 'RELEASE'):
         window.event_simulate(type=key, value=value, x=x, y=y)
-    yield 0.3
+    yield from turns()
 
 
 def until(condition, limit=GUARD):
     """Wait for something; False where it does not come to be, however long that takes: the limit is a guard against hanging."""
     waited = 0.0
     while not condition() and waited < limit:
-        yield 0.25
-        waited += 0.25
+        yield 0.05
+        waited += 0.05
     return condition()
 
 
@@ -86,7 +111,7 @@ def f12(area):
     bpy.context.preferences.view.render_display_type = 'AREA'
     yield from press('F12', area)
     finished = yield from until(lambda: done)
-    yield 1.0
+    yield from turns()
     if not finished:
         raise AssertionError("F12 did not finish")
 
@@ -103,7 +128,7 @@ def frame_in_region(area):
     space.show_gizmo = False
     with within(area):
         bpy.ops.view3d.zoom_camera_1_to_1()
-    yield 1.0
+    yield from turns()
     camera = scene.camera
     corners = [project(region, space.region_3d, camera.matrix_world @ corner) for corner in camera.data.view_frame(scene=scene)]
     left, low = min(c.x for c in corners), min(c.y for c in corners)
@@ -116,12 +141,12 @@ def sidebar(area):
     """Open our tab."""
     with within(area):  # a timer has no window by itself after a file was loaded, and Blender crashes without one
         area.spaces.active.show_region_ui = True
-    yield 0.5
+    yield from turns()
     region = next(region for region in area.regions if region.type == 'UI')
     for _ in range(2):  # 4.3 shows it one redraw late
         region.active_panel_category = "FAST-GS"
         region.tag_redraw()
-        yield 0.5
+        yield from turns()
 
 
 def first_steps():
@@ -144,7 +169,7 @@ def first_steps():
     area.spaces.active.overlay.show_overlays = False  # their lines would run over the splats
     yield from settled("rendered")
     yield from f12(area)
-    shot("f12")
+    yield from settled("f12")
     areas = [a.type for a in bpy.context.window_manager.windows[0].screen.areas]
     bpy.data.images["Render Result"].save_render(os.path.abspath("f12-saved.png"))
     return {"areas": areas, "camera": camera, "count": obj.fastgs.gaussian_count, "frame": 12, "start": obj.fastgs.start_frame, **through}
@@ -163,19 +188,18 @@ def properties(model):
     """The property editor's tabs that hold panels of ours, each in a screenshot: {tab: [panels' names, x, y, w, h]}."""
     scene = bring(model)
     look(scene, 640, 420)
-    yield 0.5
+    yield from turns()
     editor = area_of('PROPERTIES')
     with within(editor):
         bpy.ops.screen.screen_full_area()
-    yield 0.5
+    yield from turns()
     editor = area_of('PROPERTIES')
     region = next(region for region in editor.regions if region.type == 'WINDOW')
     bpy.context.view_layer.objects.active = next(o for o in scene.objects if o.type == 'MESH')
     taken = {}
     for context in ('RENDER', 'VIEW_LAYER', 'OBJECT'):
         editor.spaces.active.context = context
-        yield 1.0
-        shot(f"properties-{context.lower()}")
+        yield from settled(f"properties-{context.lower()}")
         ours = [cls.bl_label for cls in bpy.types.Panel.__subclasses__()
                 if cls.__name__.startswith("FASTGS_") and getattr(cls, "bl_context", "") == context.lower()]
         top = bpy.context.window_manager.windows[0].height - region.y - region.height
@@ -193,7 +217,7 @@ def through_camera(model, frame):
     scene.render.film_transparent = False
     scene.frame_set(frame)
     area.spaces.active.shading.type = 'RENDERED'
-    yield 0.5
+    yield from turns()
     box = yield from frame_in_region(area)
     yield from settled("anchor")
     obj = next(o for o in scene.objects if o.fastgs.filepath)
@@ -246,18 +270,18 @@ def switching(model):
     scene = bpy.context.scene
     with within(area):
         bpy.ops.screen.animation_play()
-    yield 1.0
+    yield from turns(10)
     scene.render.engine = 'BLENDER_WORKBENCH'
-    yield 1.0
+    yield from turns(10)
     with within(area):
         bpy.ops.screen.animation_cancel(restore_frame=False)
     scene.frame_set(12)
     yield from settled("other-engine")
     with within(area):
         bpy.ops.screen.animation_play()
-    yield 0.5
+    yield from turns(10)
     addon_utils.disable(ADDON)
-    yield 0.5
+    yield from turns(10)
     with within(area):
         bpy.ops.screen.animation_cancel(restore_frame=False)
     yield from settled("without-extension")

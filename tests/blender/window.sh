@@ -3,7 +3,7 @@
 # window.sh ARGUMENTS...: Blender with these arguments, its window filling a virtual screen of the size SCREEN, such as 1280x800.
 # Runs inside the Debian root.
 mkfifo /tmp/display
-Xvfb -displayfd 3 -screen 0 "${SCREEN}x24" -nolisten tcp 3>/tmp/display >xvfb.log 2>&1 &
+Xvfb -displayfd 3 -screen 0 "${SCREEN}x24" -fbdir /tmp -nocursor -nolisten tcp 3>/tmp/display >xvfb.log 2>&1 &
 read -r number </tmp/display
 export DISPLAY=":$number"
 # no title bars and no borders: what Blender says of places in its window then holds for the screen
