@@ -30,7 +30,7 @@ OTHER, TINT = 5.0, 0.15
 difference of colours (0..1) from which on."""
 SEEN = 128
 """The most Gaussians of a stroke that colours are compared with; a colour is the stroke's if three of them have it."""
-BORDERS, TRIED = (0.003, 0.7), 41
+BORDERS, TRIED = (0.003, 0.7), 161
 """Shares of the strokes' mean potential between which the border is looked for, and how many are tried."""
 FREE = 3e-5
 """The share of joins within a border below which a weaker cut is no better.  A border of half the height has to cut half as much: of
@@ -80,11 +80,13 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     if not against:
         return y > BORDER_ALONE * float(y[yes].mean())
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, model.position)
-    low, high = np.sort([y[i], y[j]], axis=0)
     shares = np.geomspace(*BORDERS, TRIED)
-    tried = shares * float(y[yes].mean())
-    cut = np.array([weight[(low <= border) & (border < high)].sum() / max(degree[y > border].sum(), LOOSE) for border in tried])
-    return y > tried[np.argmin((cut + FREE) / shares)]
+    tried = shares * max(float(y[yes].mean()), 0.0)
+    above, far = np.searchsorted(tried, y), TRIED + 1  # of how many borders a Gaussian is within
+    ends = np.sort([above[i], above[j]], axis=0)
+    cut = (np.bincount(ends[0], weight, far) - np.bincount(ends[1], weight, far)).cumsum()[:-1]
+    inside = degree.sum() - np.bincount(above, degree, far).cumsum()[:-1]
+    return y > tried[np.argmin((cut / np.maximum(inside, LOOSE) + FREE) / shares)]
 
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:

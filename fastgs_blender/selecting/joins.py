@@ -19,6 +19,11 @@ ALIVE = 0.05
 STRETCH, TINT = 0.15, 0.04
 """Differences that count as none: a change of distance by the usual distance of neighbours, and a distance of colours.  In a model whose
 neighbours differ more than that, it is twice their median."""
+DRIFT = (0.03, 0.1)
+"""What counts as no change of distance, too: this share, at least and at most, of how far the two travel.  In trained models the Gaussians
+of a thing drift apart, the more the farther it goes."""
+FIRM, FAR = 4.0, 5.0
+"""The share is so many times the change that the firmest quarter of joins has, of those that travel FAR usual distances."""
 MOST_STRETCH, MOST_TINT = 12.0, 6.0
 """What either can add to `differ`: a thing has several colours, but does not come apart."""
 
@@ -67,10 +72,19 @@ def joins(model: GaussianModel) -> Joins:
     usual /= np.maximum(weight, 1)
     unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
     colour = base_colours(model)
-    differ = (_unusual((high - low) / unit, STRETCH, MOST_STRETCH)
+    differ = (_unusual((high - low) / unit, STRETCH, MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
               + _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT))
     return Joins(np.stack(ends, 1).astype(np.int32), (low / unit).astype(np.float32), differ.astype(np.float32))
 
 
-def _unusual(value: np.ndarray, least: float, most: float) -> np.ndarray:
-    return np.minimum(0.5 * (value / max(least, 2 * float(np.median(value)) if len(value) else 0.0)) ** 2, most)
+def _drift(place: np.ndarray, alive: np.ndarray, ends, change: np.ndarray, unit: np.ndarray) -> np.ndarray:
+    """The changes of distance [E], in units of the usual one, that count as none because the two of each join travel."""
+    low, high = (edge(np.where(alive[..., None], place, other), 0) for edge, other in ((np.min, np.inf), (np.max, -np.inf)))
+    own = np.linalg.norm(np.maximum(high - low, 0), axis=1)
+    travel = np.maximum(own[ends[0]], own[ends[1]]) / unit
+    far = (travel > FAR) & (change > -np.inf)
+    return travel * np.clip(FIRM * np.quantile((change / unit / travel)[far], 0.25) if far.any() else 0, *DRIFT)
+
+
+def _unusual(value: np.ndarray, least: float, most: float, besides=0.0) -> np.ndarray:
+    return np.minimum(0.5 * (value / (max(least, 2 * float(np.median(value)) if len(value) else 0.0) + besides)) ** 2, most)

@@ -82,6 +82,15 @@ def test_a_thing_ends_where_hardly_anything_joins_it():
     assert np.mean(grow(scene.model, yes, no & ~yes) == scene.truth) > 0.99
 
 
+def test_what_goes_far_may_drift_apart_in_itself():
+    """As in trained models: each Gaussian of the ball goes a little farther or less far than the others do."""
+    scene = made("ball and box")
+    yes, no = scenes.strokes(scene.model, scene)
+    off = 1 + 0.06 * np.random.default_rng(0).normal(size=(len(yes), 1, 1))
+    model = dataclasses.replace(scene.model, motion=(scene.model.motion * off).astype(np.float32))
+    assert np.mean(grow(model, yes, no) == scene.truth) > 0.98
+
+
 def test_without_a_stroke_there_is_a_sentence():
     with pytest.raises(fg.FastGSError, match="stroke"):
         grow(random_model(np.random.default_rng(0), 30), np.zeros(30, bool))
