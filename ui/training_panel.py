@@ -33,7 +33,7 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
     if not pixels:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
     pixels = round(pixels * (settings.scale or 1) ** 2)
-    size = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians, pixels * views)
+    size = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians, pixels * views, pictures // max(views, 1))
     seconds, memory = costs.estimate(pixels, *size, pictures)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
     if settings.source == 'SCENE':

@@ -47,7 +47,7 @@ def run(inspection: Inspection) -> Section:
     memory = checks.available_memory()
     rows = {}
     for preset in LENGTHS:
-        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment), len(capture))
+        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=cut.count), len(capture))
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "

@@ -13,6 +13,8 @@ ROOM, MOST_ROOMS = 2.5e6, 3.0
 """Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
 larger rig gets at most.  31 cameras of 640 x 360 around a hall show more than 18 of 480 x 360 around one room
 (docs/notes/reconstruction.md)."""
+FRAMES = 100
+"""Frames of a segment for which the presets' numbers of steps are; a longer one gets as many more."""
 
 
 def rooms(pixels: float) -> float:
@@ -23,11 +25,16 @@ def rooms(pixels: float) -> float:
     return min(max(pixels / ROOM, 1.0), MOST_ROOMS)
 
 
-def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: float = 0) -> tuple[int, int]:
-    """Number of steps and maximum number of Gaussians of a run; pixels as in rooms()."""
-    chosen = PRESETS[preset.lower()]
-    times = rooms(pixels) if preset.lower() in LENGTHS else 1.0
-    return (iterations or chosen.get("iterations", Settings.iterations),
+def longer(frames: int) -> float:
+    """By how much a clip of so many frames, or its first segment, is longer than those that the presets' steps suit; at least 1."""
+    return max(min(frames, Settings.segment_frames) / FRAMES, 1.0)
+
+
+def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: float = 0, frames: int = 0) -> tuple[int, int]:
+    """Number of steps and maximum number of Gaussians of a run, or of its first segment; pixels as in rooms(), frames of the clip."""
+    chosen, suits = PRESETS[preset.lower()], preset.lower() in LENGTHS
+    times, steps = (rooms(pixels), longer(frames)) if suits else (1.0, 1.0)
+    return (iterations or round(steps * chosen.get("iterations", Settings.iterations)),
             max_gaussians or round(times * chosen.get("max_gaussians", Settings.max_gaussians)))
 
 

@@ -133,7 +133,7 @@ class Settings:
     scan_share: float = _number(0.3, 0, 0.9)  # of the steps that see its pictures, 0: they give starting points alone
 
     # Long captures (segments.py)
-    segment_frames: int = _number(120, 0, 10**8)  # clips with more frames are cut into segments of at most this many, 0: never
+    segment_frames: int = _number(160, 0, 10**8)  # clips with more frames are cut into segments of at most this many, 0: never
     segment_overlap: int = _number(8, 0, 10**6)  # frames that neighbours share; 0: none, and they change over between two frames
     # share of the steps that a segment takes which begins from the one before, holding what stands still; 0: each is trained for itself
     segment_steps: float = _number(0.5, 0, 1)

@@ -16,7 +16,7 @@ from ...captures.scan import with_scan
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ..core.costs import rooms
+from ..core.costs import longer, rooms
 from ..core.presets import LENGTHS, WARM_START
 from ..core.settings import Settings, from_dict
 from . import checkpoint
@@ -139,8 +139,8 @@ def begin(out: str | Path, wanted: dict, make: Callable[[dict], Settings], resum
 
 
 def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) -> Settings:
-    """The settings for a new run on this capture: more Gaussians for a large rig (costs.rooms); where the capture brings a model to begin
-    with, steps and motion as that needs.
+    """The settings for a new run on this capture: more Gaussians for a large rig (costs.rooms) and more steps for long segments
+    (costs.longer); where the capture brings a model to begin with, steps and motion as that needs.
 
     named  the settings that were asked for by name, which stay
     """
@@ -148,7 +148,8 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     from .segments import spans
 
     if not begins_with_model(capture, settings):
-        return _for_its_rig(settings, capture, named)
+        first = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)[0]
+        return _for_its_size(settings, capture, first.count, named) if settings.preset in LENGTHS else settings
     chosen = replace(settings, **{name: value for name, value in WARM_START.get(settings.preset, {}).items() if name not in named})
     cuts = spans(capture.clip.frame_count, chosen.segment_frames, chosen.segment_overlap)
     each = [following(capture.part(cut.first, cut.count), chosen) for cut in cuts]  # segments are joined, so all have the same motion
@@ -156,12 +157,12 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     return replace(chosen, **freedom)
 
 
-def _for_its_rig(settings: Settings, capture: Capture, named: Collection[str]) -> Settings:
-    """The settings with as many Gaussians and starting points as the training cameras show."""
+def _for_its_size(settings: Settings, capture: Capture, frames: int, named: Collection[str]) -> Settings:
+    """The settings with as many Gaussians and starting points as the training cameras show, and steps as the frames of a segment ask."""
     sizes = {shot.view: shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None}
-    times = rooms(sum(sizes.values())) if settings.preset in LENGTHS else 1.0
-    return replace(settings, **{name: round(times * getattr(settings, name)) for name in ("max_gaussians", "init_points")
-                                if name not in named})
+    times = dict.fromkeys(("max_gaussians", "init_points"), rooms(sum(sizes.values())))
+    times["iterations"] = longer(frames)
+    return replace(settings, **{name: round(factor * getattr(settings, name)) for name, factor in times.items() if name not in named})
 
 
 def _continued(out: Path, old: Source, new: Source) -> Source:

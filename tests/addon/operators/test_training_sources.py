@@ -154,6 +154,7 @@ def test_estimates_grow_with_the_work(module):
     costs = module("fastgs_blender.training.core.costs")
     assert costs.size_of('DRAFT') == (2500, 20_000) and costs.size_of('FINAL', 10, 20) == (10, 20)
     assert costs.size_of('DRAFT', pixels=5e6) == (2500, 40_000) and costs.size_of('STG', pixels=5e6) == costs.size_of('STG')
+    assert costs.size_of('DRAFT', frames=150) == (3750, 20_000) and costs.size_of('DRAFT', 10, frames=150)[0] == 10
     small, large = costs.estimate(320 * 240, 2500, 20_000), costs.estimate(1920 * 1080, 30_000, 150_000)
     assert 30 < small[0] < large[0] and small[1] < large[1]
 

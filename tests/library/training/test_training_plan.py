@@ -64,6 +64,15 @@ def test_a_rig_that_films_more_than_a_room_gets_more_gaussians(width, height, ti
     assert suited(settings("stg"), capture) == settings("stg")
 
 
+@pytest.mark.parametrize(("frames", "steps"), [(100, 7000), (150, 10_500), (161, 7000)])
+def test_a_long_segment_gets_more_steps(frames, steps):
+    """161 frames are two segments of 85."""
+    capture = toy_capture(frames=2)[0]
+    capture = replace(capture, clip=replace(capture.clip, frame_count=frames))
+    assert suited(settings(), capture).iterations == steps
+    assert suited(settings(iterations=50), capture, ("iterations",)).iterations == 50
+
+
 @pytest.mark.parametrize(("options", "words"), [
     (["--scale", "1"], "scale = 0.5, not 1.0"), (["--frames", "0:3"], "frames = 1, 4, 1, not 0, 4, 1"),
     (["--held-out", "cam00"], "held_out = cam01, cam03, not cam00"), (["--layout", "colmap"], "layout = its default, not colmap"),
