@@ -77,14 +77,14 @@ def joins(model: GaussianModel) -> Joins:
     return Joins(np.stack(ends, 1).astype(np.int32), (low / unit).astype(np.float32), differ.astype(np.float32))
 
 
-def _drift(place: np.ndarray, alive: np.ndarray, ends, change: np.ndarray, unit: np.ndarray) -> np.ndarray:
+def _drift(place: np.ndarray, alive: np.ndarray, ends: tuple, change: np.ndarray, unit: np.ndarray) -> np.ndarray:
     """The changes of distance [E], in units of the usual one, that count as none because the two of each join travel."""
     low, high = (edge(np.where(alive[..., None], place, other), 0) for edge, other in ((np.min, np.inf), (np.max, -np.inf)))
     own = np.linalg.norm(np.maximum(high - low, 0), axis=1)
     travel = np.maximum(own[ends[0]], own[ends[1]]) / unit
-    far = (travel > FAR) & (change > -np.inf)
+    far = (travel > FAR) & (change > -np.inf)  # -inf: never seen at the same time
     return travel * np.clip(FIRM * np.quantile((change / unit / travel)[far], 0.25) if far.any() else 0, *DRIFT)
 
 
-def _unusual(value: np.ndarray, least: float, most: float, besides=0.0) -> np.ndarray:
+def _unusual(value: np.ndarray, least: float, most: float, besides: float | np.ndarray = 0.0) -> np.ndarray:
     return np.minimum(0.5 * (value / (max(least, 2 * float(np.median(value)) if len(value) else 0.0) + besides)) ** 2, most)
