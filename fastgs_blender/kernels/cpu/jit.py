@@ -21,7 +21,7 @@ FOLDER = cache.folder()
 
 
 class Place(InTreeCacheLocator):
-    """Where a function's code lies: by the name of its source's folder, wherever that is.  A new version compiles only what has changed."""
+    """Where a function's code lies: by the name of its source's folder, wherever that is installed (cache.folder() has the version)."""
 
     def __init__(self, function, file):
         super().__init__(function, file)
