@@ -125,11 +125,11 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     timed = found.take(np.flatnonzero(np.isfinite(found.t))) if found.t is not None else found.take(slice(0, 0))
     sizes = np.exp(before.scale.max(1))
     frozen = stands(before) & (_calm(before.position, sizes, capture, store, settings, earlier) > 0)
-    rests = _calm(positions_at(before, at), sizes, capture, store, settings)
-    models = [before.take(np.flatnonzero(frozen)), _going_on(before.take(np.flatnonzero(~frozen)), at, settings, rests[~frozen] >= CALM)]
+    places, sizes = np.concatenate([positions_at(before, at), timed.xyz]), np.concatenate([sizes, np.zeros(len(timed))])
+    calm, around = np.split(_calm(places, sizes, capture, store, settings), [len(before)])
+    models = [before.take(np.flatnonzero(frozen)), _going_on(before.take(np.flatnonzero(~frozen)), at, settings, calm[~frozen] >= CALM)]
     room = max(settings.max_gaussians - sum(map(len, models)), 0)
-    # what rests is known by now
-    timed = timed.take(np.flatnonzero(_calm(timed.xyz, np.zeros(len(timed)), capture, store, settings) < 1 - CALM))
+    timed = timed.take(np.flatnonzero(around < 1 - CALM))  # what rests is known by now
     if len(timed):
         timed = starting_points.thinned(timed, max(room, 1), settings.seed)
         models.append(model_from_points(timed, settings, capture.clip, capture.axes, capture.extent))

@@ -181,6 +181,24 @@ def test_what_is_held_stays_and_is_counted_in_checkpoints(filmed, density):
     np.testing.assert_array_equal(again.model().features[:40], first.features[:40])
 
 
+def test_a_next_segment_keeps_what_rests_and_adds_points_where_something_moves(filmed, monkeypatch):
+    from fastgs_blender.training.initial import continued
+    from fastgs_blender.training.initial.first_model import model_from_points
+
+    capture, store, points = filmed
+    chosen = settings.settings(max_gaussians=200, backdrop=0.0, exposures="off", clocks="off", poses="off")
+    timed = replace(points, t=np.zeros(len(points)))  # of both, 60 that rest and then 6 that move
+    monkeypatch.setattr(continued.starting_points, "initial_points", lambda *rest: (timed, store))
+    earlier = capture.part(0, 12)
+    before = model_from_points(points, chosen, earlier.clip, capture.axes, capture.extent)
+    start = continued.start_after(before, earlier, 0.75, capture.part(9, 12), store, chosen, say=str)
+    new = {row.tobytes() for row in start.model.position[len(before):]}
+    kept = [row.tobytes() in new for row in before.position]
+    goes_on = start.model.mu_tau[:len(before)] == 0.5  # for all times
+    assert all(kept[60:]) and np.mean(kept[:60]) < 0.4 and not goes_on[60:].any() and np.mean(goes_on[:60]) > 0.9
+    assert chosen.warm_up and chosen.of_segment(0).warm_up and not chosen.of_segment(1).warm_up
+
+
 def test_films_with_masks_tell_what_stands_still(filmed):
     """Whole masks change nothing, and where the model is to show nothing, nothing moves; cameras that move tell nothing."""
     from types import SimpleNamespace
