@@ -96,4 +96,4 @@ def follow(scene) -> None:
 def _engine(chosen: str) -> str:
     if chosen == 'CYCLES':
         return 'CYCLES'
-    return 'BLENDER_EEVEE_NEXT' if (4, 2, 0) <= bpy.app.version < (5, 0, 0) else 'BLENDER_EEVEE'
+    return 'BLENDER_EEVEE_NEXT' if bpy.app.version < (5, 0, 0) else 'BLENDER_EEVEE'

@@ -10,8 +10,6 @@ from ..fastgs_blender.rendering.passes import PASSES
 from . import composite_nodes, holdout, mesh_scene, shadows
 
 MESHES, JOIN, SHADE, RELIGHT = "FAST-GS Meshes", "FAST-GS Join", "FAST-GS Shade", "FAST-GS Relight"
-VERSION = 5
-"""Value of a group's mark; groups with another one were made by an older version of the extension, and are made anew."""
 MADE = "fastgs_made"
 """Custom property of a compositor that was made here."""
 LAMP = "fastgs_lamp"
@@ -99,8 +97,6 @@ def _image_of(splats):
 
 def join_all(scene) -> None:
     """Join all that the scene's compositor shows of scenes with *Render With Meshes*."""
-    if layers(scene):
-        _renew(tree_of(scene))
     for node, shown in layers(scene):
         other, layer = mesh_scene.of(shown), node.layer or shown.view_layers[0].name
         if shown.fastgs.render_meshes != 'OFF' and other is not None and layer in other.view_layers:
@@ -228,26 +224,6 @@ def _shaded(tree, join, splats, meshes, lamps):
     return image
 
 
-def _renew(tree):
-    """Replace the nodes whose groups were made by an older version; they keep their places, links and values."""
-    for kind, build in ((JOIN, composite_nodes.join), (SHADE, composite_nodes.shade)):
-        for node in [node for node in tree.nodes if _is(node, kind) and node.node_tree[kind] != VERSION]:
-            new, old = _new_group(tree, kind, build, *node.location), node.node_tree
-            new.label = node.label
-            if LAMP in node:
-                new[LAMP] = node[LAMP]
-            for socket in [socket for socket in node.inputs if socket.name in new.inputs]:
-                if hasattr(socket, "default_value"):
-                    new.inputs[socket.name].default_value = socket.default_value
-                for link in socket.links:
-                    tree.links.new(link.from_socket, new.inputs[socket.name])
-            for socket in [link.to_socket for link in node.outputs[0].links]:
-                tree.links.new(new.outputs[0], socket)
-            tree.nodes.remove(node)
-            if not old.users:
-                bpy.data.node_groups.remove(old)
-
-
 def _feed(tree, node, sockets: dict):
     """Link a node's inputs to these sockets, and to nothing where one is not in use."""
     for name, socket in sockets.items():
@@ -261,10 +237,10 @@ def _feed(tree, node, sockets: dict):
 
 def _new_group(tree, kind: str, build, x: float, y: float):
     """A node that shows the group of a kind, which all of them share."""
-    group = next((group for group in bpy.data.node_groups if group.get(kind) == VERSION and group.library is None), None)
+    group = next((group for group in bpy.data.node_groups if kind in group and group.library is None), None)
     if group is None:
         group = bpy.data.node_groups.new(kind, 'CompositorNodeTree')
-        group[kind] = VERSION
+        group[kind] = True
         build(group)  # before a node shows it, which takes over the sockets' values
     node = tree.nodes.new('CompositorNodeGroup')
     node.node_tree = group

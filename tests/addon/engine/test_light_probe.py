@@ -24,7 +24,7 @@ def mirror(add):
         if bpy.app.version < (5, 0, 0):
             material.use_nodes = True
         tree = material.node_tree
-        gloss = tree.nodes.new('ShaderNodeBsdfAnisotropic' if bpy.app.version < (4, 0, 0) else 'ShaderNodeBsdfGlossy')
+        gloss = tree.nodes.new('ShaderNodeBsdfGlossy')
         gloss.inputs["Roughness"].default_value, gloss.inputs["Color"].default_value = 0.0, (1, 1, 1, 1)
         tree.links.new(gloss.outputs[0], tree.get_output_node('ALL').inputs["Surface"])
         obj.data.materials.append(material)
