@@ -2,8 +2,10 @@
 """Fixtures that the library's tests share."""
 from __future__ import annotations
 
+import importlib.util
 import os
 import signal
+import sys
 from pathlib import Path
 
 import numpy as np
@@ -54,6 +56,13 @@ def few_pictures(monkeypatch):
     for module, names in ((rate, ("SHOTS", "JUDGED")), (thinning, ("SENSED", "REFITS", "FINAL"))):
         for name in names:
             monkeypatch.setattr(module, name, getattr(module, name) // 8)
+
+
+@pytest.fixture(scope="session")
+def pxr() -> None:
+    """Pixar's library can be imported; that of the bpy wheel lies in a folder of its own."""
+    places = importlib.util.find_spec("bpy").submodule_search_locations
+    sys.path += [str(path.parent) for place in places for path in Path(place).glob("*/python/lib/*/site-packages/pxr")]
 
 
 @pytest.fixture(scope="session")

@@ -51,7 +51,6 @@ def test_a_good_reader_passes(tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize(("how", "said"), [
     (fail_with(KeyError("n")), "KeyError"), (fail_with(FastGSError("")), "printable"),
     (lambda: os.kill(os.getpid(), signal.SIGSEGV), "process.*-11"), (lambda: os._exit(3), "process.* 3"),
@@ -63,7 +62,6 @@ def test_failures_are_seen_and_named(tmp_path, how, said):
     assert 'FASTGS_MUTATION="bad/a/' in str(failed.value)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 @pytest.mark.parametrize(("how", "limit", "said"), [
     (lambda: time.sleep(1000), ("SILENCE", 1), "waited for 1 s"),
     (lambda: [None for _ in iter(int, 1)], ("CPU", 0.2), r"process.*-\d+")])
@@ -74,7 +72,6 @@ def test_waiting_and_endless_work_are_ended(tmp_path, monkeypatch, how, limit, s
         mutations.campaign("bad", failing(how), SEEDS, tmp_path)
 
 
-@pytest.mark.skipif(not hasattr(os, "fork"), reason="children are forked")
 def test_a_child_that_waits_from_the_first_is_made_once_more(tmp_path, monkeypatch):
     """As one does that was forked while a thread of the process held a lock."""
     monkeypatch.setattr(mutations, "SILENCE", 1)

@@ -8,19 +8,18 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import torch
 from random_cameras import random_pose
 from random_models import random_model
 
 import fastgs_blender as fg
+import fastgs_blender.torch as ours
 from fastgs_blender.kernels.cpu.backend import CPU
 from fastgs_blender.kernels.protocol import DeviceError
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance
 from fastgs_blender.rendering.layout import Layout
 from fastgs_blender.rendering.oracle import BACKEND as ORACLE
 from fastgs_blender.util import backends
-
-torch = pytest.importorskip("torch")
-ours = pytest.importorskip("fastgs_blender.torch")
 
 T, BAND = 0.37, 0.02
 

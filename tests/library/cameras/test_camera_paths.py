@@ -9,6 +9,7 @@ import zipfile
 from pathlib import Path
 
 import numpy as np
+import pycolmap
 import pytest
 import tiny_captures
 from hypothesis import given, settings
@@ -290,7 +291,6 @@ def test_files_that_cannot_be_read(tmp_path):
 
 def test_colmap_reads_ours_and_we_read_its_text(rng, tmp_path):
     """COLMAP itself; in images.txt it ends a name at its first blank, so ours are binary."""
-    pycolmap = pytest.importorskip("pycolmap")
     names = ["a/left eye.png", "b/right.png", "c.png"]
     path = CameraPath(random_path(rng, 3, True, False).cameras, names=names)
     save_path(path, tmp_path / "sparse" / "0", "colmap")

@@ -36,7 +36,6 @@ def toml(i: int, name: str, scale: float = 1.0, head: str | None = None, turn: s
 
 
 def films(folder, names=NAMES):
-    pytest.importorskip("av")
     for i, name in enumerate(names):
         RIG.write_video(folder / f"{name}.mp4", i, fps=50)
 
@@ -231,7 +230,6 @@ def test_storage_values(tmp_path):
 
 def test_real_room_that_is_not_genlocked(shared_data):
     """Four webcams around a table: they look at one place, and their frames keep their own times."""
-    pytest.importorskip("av")
     capture = open_capture(shared_data / "board")
     assert capture.views == [f"cam_{i}" for i in range(4)] and capture.clip.frame_count == 57 and abs(capture.clip.fps - 6) < 0.01
     assert capture.axes == "RFU" and not problems(capture) and len({shot.t for shot in capture.at_frame(0)}) == 4

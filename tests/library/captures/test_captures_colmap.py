@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 
 import numpy as np
+import pycolmap
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -95,7 +96,6 @@ def test_pictures_named_after_their_camera_stand_for_its_sequence(tmp_path, tmp_
 
 
 def test_or_for_its_video(tmp_path, tmp_path_factory):
-    pytest.importorskip("av")
     for i, name in enumerate(NAMES):
         RIG.write_video(tmp_path / "images" / f"{name}.mp4", i, fps=60)
     write_model(tmp_path / "sparse/0", [f"{name}.png" for name in NAMES])
@@ -106,7 +106,6 @@ def test_or_for_its_video(tmp_path, tmp_path_factory):
 
 def test_films_in_folders(tmp_path, tmp_path_factory):
     """As cameras' cards are copied; the registered picture lies beside the folder, beside the film, or is called otherwise."""
-    pytest.importorskip("av")
     places = ["set/left/one/GX010010.MP4", "set/right/one/GX010010.MP4", "set/two/GX010011.MP4"]
     names = ["set/left/one.png", "set/right/one/GX010010.png", "set/two/first.png"]
     for i, (place, name) in enumerate(zip(places, names)):
@@ -185,7 +184,6 @@ def test_camera_models(tmp_path, tmp_path_factory, model, rest, lens, binary):
 
 @pytest.mark.parametrize("binary", [True, False])
 def test_pycolmap_reads_the_test_files_the_same_way(tmp_path, binary):
-    pycolmap = pytest.importorskip("pycolmap")
     write_model(tmp_path, [f"{name}.png" for name in NAMES], binary=binary)
     other = pycolmap.Reconstruction(str(tmp_path))
     assert other.num_images() == 3 and other.num_points3D() == 2
@@ -195,7 +193,6 @@ def test_pycolmap_reads_the_test_files_the_same_way(tmp_path, binary):
 
 
 def test_files_that_pycolmap_writes(tmp_path, tmp_path_factory):
-    pycolmap = pytest.importorskip("pycolmap")
     write_rig(tmp_path / "images")
     source = tmp_path / "text"
     write_model(source, [f"{name}/0001.png" for name in NAMES], binary=False)

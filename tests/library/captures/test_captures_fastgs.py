@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 
 import numpy as np
+import OpenEXR
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -83,7 +84,6 @@ def test_distortion_is_undone(tmp_path, tmp_path_factory, model, lens):
 
 
 def test_videos_and_jpegs(tmp_path, tmp_path_factory):
-    pytest.importorskip("av")
     describe(tmp_path)
     RIG.write_video(tmp_path / "cam00.mp4", 0)
     RIG.write_video(tmp_path / "cam01.mkv", 1)
@@ -143,8 +143,6 @@ def pixels(folder, cache, **options):
 
 
 def write_exr(path, rgba):
-    import OpenEXR
-
     path.parent.mkdir(exist_ok=True)
     planes = {name: np.ascontiguousarray(rgba[..., i], np.float32) for i, name in enumerate("RGBA"[:rgba.shape[2]])}
     OpenEXR.File({"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}, planes).write(str(path))
@@ -336,7 +334,6 @@ def test_a_lens_that_was_found_later(tmp_path, tmp_path_factory):
 
 
 def test_videos_without_poses(tmp_path):
-    pytest.importorskip("av")
     for i in range(2):
         RIG.write_video(tmp_path / f"{NAMES[i]}.mp4", i, fps=50)
     capture = open_capture(tmp_path)

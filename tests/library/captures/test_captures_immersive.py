@@ -39,7 +39,6 @@ def models(rig=RIG, names=NAMES):
 
 @pytest.fixture
 def scene(tmp_path):
-    pytest.importorskip("av")
     for i, name in enumerate(NAMES):
         RIG.write_video(tmp_path / f"{name}.mp4", i)
     (tmp_path / "models.json").write_text(json.dumps(models()), "utf-8")

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+import pycolmap
 import pytest
 from spots import draw_spots, find_spots, project
 
@@ -33,7 +34,6 @@ def lens(request):
     ("fisheye", "OPENCV_FISHEYE", lambda lens: lens.k[:4]),
 ])
 def test_colmap_puts_points_at_the_same_pixels(rng, name, model, parameters):
-    pycolmap = pytest.importorskip("pycolmap")
     lens = LENSES[name]
     points = rng.uniform([-0.8, -0.6, 1], [0.8, 0.6, 1], (50, 3))
     theirs = pycolmap.Camera(model=model, width=SOURCE.width, height=SOURCE.height, params=[*SOURCE[:4], *parameters(lens)])

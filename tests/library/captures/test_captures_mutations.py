@@ -5,8 +5,10 @@ from __future__ import annotations
 import json
 from pathlib import Path
 
+import av
 import mutations
 import numpy as np
+import OpenEXR
 import pytest
 import tiny_captures
 from PIL import Image
@@ -41,8 +43,6 @@ def check_capture(folder: Path, layout: str):
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", tiny_captures.LAYOUTS)
 def test_damaged_descriptions(layout, tmp_path):
-    if layout == "immersive":
-        pytest.importorskip("av")
     seeds = {}
     for make in tiny_captures.LAYOUTS[layout]:
         folder = tmp_path / "made" / make.__name__
@@ -80,20 +80,18 @@ def test_damaged_pictures(tmp_path):
 
 
 def test_damaged_exr_pictures(tmp_path):
-    openexr = pytest.importorskip("OpenEXR")
     rng = np.random.default_rng(1)
     planes = {name: rng.random((12, 16)).astype(np.float32) for name in ("R", "G", "B", "A", "Depth.Z", "Layer.R")}
     seeds = {}
     for name in ("NO", "RLE", "ZIPS", "ZIP", "PIZ", "PXR24", "B44", "B44A", "DWAA", "DWAB"):
         kind = np.float16 if name in ("B44", "DWAA") else np.float32
-        header = {"compression": getattr(openexr, f"{name}_COMPRESSION"), "type": openexr.scanlineimage}
-        openexr.File(header, {channel: plane.astype(kind) for channel, plane in planes.items()}).write(str(tmp_path / "a.exr"))
+        header = {"compression": getattr(OpenEXR, f"{name}_COMPRESSION"), "type": OpenEXR.scanlineimage}
+        OpenEXR.File(header, {channel: plane.astype(kind) for channel, plane in planes.items()}).write(str(tmp_path / "a.exr"))
         seeds[name] = {"a.exr": (tmp_path / "a.exr").read_bytes()}
     mutations.campaign("exr", check_picture, seeds, tmp_path)
 
 
 def test_damaged_videos(tmp_path):
-    av = pytest.importorskip("av")
     kinds = {"h264": ("a.mp4", "libx264", {"g": "3", "bf": "2"}), "mpeg4": ("a.avi", "mpeg4", {}), "mjpeg": ("a.mov", "mjpeg", {}),
              "mpeg2": ("a.mpg", "mpeg2video", {}), "matroska": ("a.mkv", "libx264", {"g": "2"}), "vp9": ("a.webm", "libvpx-vp9", {}),
              "ts": ("a.ts", "libx264", {})}
@@ -115,7 +113,6 @@ def test_damaged_videos(tmp_path):
 
 
 def test_damaged_sound(tmp_path):
-    pytest.importorskip("av")
     for name in ("a.mp4", "a.mkv"):
         film(tmp_path / name, 1.0, 0.0, [0.3, 0.7])
     seeds = {name[2:]: {name: (tmp_path / name).read_bytes()} for name in ("a.mp4", "a.mkv")}

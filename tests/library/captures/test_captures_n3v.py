@@ -30,7 +30,6 @@ def rows(rig, height=240, width=320, focal=300):
 @pytest.fixture
 def videos(tmp_path):
     """A scene as it is published."""
-    pytest.importorskip("av")
     for i, name in enumerate(NAMES):
         RIG.write_video(tmp_path / f"{name}.mp4", i)
     np.save(tmp_path / "poses_bounds.npy", rows(RIG))

@@ -29,7 +29,6 @@ def numbers(values) -> str:
 
 
 def films(folder, rig):
-    pytest.importorskip("av")
     for i, name in enumerate(NAMES):
         rig.write_video(folder / f"{name}.mp4", i, fps=50)
 

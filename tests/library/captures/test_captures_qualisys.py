@@ -47,7 +47,6 @@ def calibration(*cameras):
 
 @pytest.fixture
 def scene(tmp_path):
-    pytest.importorskip("av")
     for i, name in enumerate(NAMES):
         RIG.write_video(tmp_path / f"walk_Miqus_1_{name}.mp4", i, fps=50)
     marker_camera = camera(0, serial="11111", model="Miqus M3")
@@ -140,7 +139,6 @@ def triangulated(seen, cameras):
 
 def test_real_cameras_agree_about_their_treadmill(shared_data):
     """Its surface is the plane z = 0.  The published videos are shifted by 5 to 25 pixels against their calibration."""
-    pytest.importorskip("av")
     capture = open_capture(shared_data / "people")
     assert capture.layout == "Qualisys" and capture.views == ["cam01", "cam02", "cam03", "cam04"] and capture.held_out_views == ["cam04"]
     assert (capture.clip.frame_count, capture.clip.fps) == (100, 60) and not problems(capture)

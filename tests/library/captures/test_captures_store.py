@@ -99,7 +99,6 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="counts kilobytes as Linux does")
 def test_resident_memory_stays_within_the_budget_too(tmp_path, cache):
     """Nothing is mapped: 60 MB of frames pass through a budget of 8 MB."""
     side, frames = 512, 80

@@ -6,13 +6,13 @@ import contextlib
 from fractions import Fraction
 from itertools import islice
 
+import av
 import numpy as np
 import pytest
 
 from fastgs_blender.captures.pixels import video
 from fastgs_blender.util.errors import FastGSError
 
-av = pytest.importorskip("av")
 SIZE = 64, 48
 COUNT = 90
 

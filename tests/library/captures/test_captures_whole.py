@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import shutil
 
+import av
 import numpy as np
 import pytest
 from PIL import Image
@@ -95,7 +96,6 @@ def test_whole_cameras_that_are_missing(capture):
 
 def write_videos(folder, *videos):
     """Films of 32 x 32 pixels: (name, rate, number of frames) each."""
-    av = pytest.importorskip("av")
     for name, rate, count in videos:
         with av.open(str(folder / f"{name}.mp4"), "w") as container:
             stream = container.add_stream("mpeg4", rate=rate)

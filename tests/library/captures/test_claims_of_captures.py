@@ -34,8 +34,6 @@ def lies(data: bytes):
 @pytest.mark.slow
 @pytest.mark.parametrize("layout", tiny_captures.LAYOUTS)
 def test_no_memory_on_the_word_of_a_description(layout, tmp_path):
-    if layout in ("immersive", "technicolor"):
-        pytest.importorskip("av")
     told = 0
     for make in tiny_captures.LAYOUTS[layout]:
         folder = tmp_path / make.__name__

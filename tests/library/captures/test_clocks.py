@@ -6,6 +6,7 @@ import json
 import shutil
 from dataclasses import replace
 
+import av
 import mutations
 import numpy as np
 import pytest
@@ -205,8 +206,6 @@ def film(path, seconds, late, clicks, rate=16_000, codec="aac", delay=0.0):
 
     delay  seconds by which the time stamps of the sound lie behind those of the pictures
     """
-    import av
-
     rng = np.random.default_rng(ord(path.name[0]))
     sound = rng.normal(0, 0.01, int(seconds * rate))
     for at in clicks:
@@ -229,7 +228,6 @@ def film(path, seconds, late, clicks, rate=16_000, codec="aac", delay=0.0):
 
 
 def test_sound_aligns_videos(tmp_path):
-    pytest.importorskip("av")
     clicks = np.random.default_rng(3).uniform(0.5, 5.5, 12)
     for name, late in (("a", 0.0), ("b", 0.212), ("c", 0.0)):
         film(tmp_path / f"{name}.mp4", 6, late, clicks)
@@ -241,13 +239,11 @@ def test_sound_aligns_videos(tmp_path):
 @pytest.mark.parametrize("wrong", [{"rate": 100}, {"delay": 4e6}], ids=str)
 def test_sound_that_would_fill_the_memory_is_none(tmp_path, wrong):
     """A rate of 100 samples a second, and sound that begins 46 days after the pictures."""
-    pytest.importorskip("av")
     film(tmp_path / "a.mkv", 2, 0.0, [], codec="pcm_f32le", **wrong)
     assert onsets(tmp_path / "a.mkv") is None
 
 
 def test_videos_without_sound_in_common_are_told(tmp_path):
-    pytest.importorskip("av")
     for name in "ab":
         tiny_captures.video(tmp_path / f"{name}.mp4", 14)
     with pytest.raises(FastGSError, match="no sound"):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import struct
 from fractions import Fraction
 
+import av
 import numpy as np
 import pytest
 
@@ -17,7 +18,6 @@ from fastgs_blender.captures.clocks.timecode import frame_of
 
 def write_films(folder, begun, frames=48, ending="mov", telemetry=lambda name: []):
     """Films of a square that darts about: name -> (timecode or None, moment of the first frame), with payloads of GPMF by the second."""
-    av = pytest.importorskip("av")
     steps = np.random.default_rng(3).uniform(0, 6, 400)
     for name, (timecode, first) in begun.items():
         with av.open(str(folder / f"{name}.{ending}"), "w") as container:

@@ -44,7 +44,6 @@ FAULTS = dict(change={1: blurred, 3: lambda image, frame: 0.7 * image, 6: lambda
 
 @pytest.fixture(scope="module")
 def folder(tmp_path_factory):
-    pytest.importorskip("pycolmap")
     return tmp_path_factory.mktemp("checks")
 
 
@@ -194,7 +193,6 @@ def test_captures_without_poses_and_with_missing_files(folder, tmp_path):
 
 def test_cameras_that_training_cannot_find_are_wrong(tmp_path, rng):
     """Pictures that have nothing in common: training would stop, so the check says why, and what to do."""
-    pytest.importorskip("pycolmap")
     for view in ("cam00", "cam01"):
         (tmp_path / view).mkdir()
         for frame in (1, 2):
@@ -208,7 +206,6 @@ def test_cameras_that_training_cannot_find_are_wrong(tmp_path, rng):
 @pytest.mark.slow
 def test_the_command(tmp_path, capsys):
     """The exit code tells, --json is the page's values, --status says how far the check is."""
-    pytest.importorskip("pycolmap")
     made = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
     flags = [str(made), "--out", str(tmp_path / "out"), "--quiet"]
     assert cli.main(["check", *flags]) == 0 and "check.html" in capsys.readouterr().out

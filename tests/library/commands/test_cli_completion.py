@@ -19,7 +19,6 @@ ROOT = Path(__file__).resolve().parents[3]
 
 @pytest.mark.skipif(not shutil.which("bash"), reason="bash is not installed")
 def test_bash_completes_commands_options_choices_and_files(tmp_path, capsys):
-    pytest.importorskip("argcomplete")
     (tmp_path / "model.safetensors").touch()
     assert cli.main(["completion", "bash"]) == 0
     (tmp_path / "complete").write_text(capsys.readouterr().out)

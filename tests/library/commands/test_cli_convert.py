@@ -78,7 +78,6 @@ HELD = "import os, signal\nos.fsync = lambda handle: signal.pause()\n"
 """What a process reads at its start that is held after its last byte and before its first rename."""
 
 
-@pytest.mark.skipif(not hasattr(signal, "pause"), reason="signals")
 @pytest.mark.parametrize("names", [("a.safetensors",), ("a.ply", "a.pt")], ids=str)
 def test_what_a_killed_conversion_left_goes_with_the_next_one(names, rng, make_model, tmp_path):
     """All that it wrote aside goes, and nothing else, be it hidden or called alike."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import os
+import resource
 import signal
 import subprocess
 import sys
@@ -341,7 +342,6 @@ def wait_for_frames(work, process, count):
 
 
 @pytest.mark.slow
-@pytest.mark.skipif(os.name == "nt", reason="signals")
 @pytest.mark.parametrize(("kill", "code"), [(signal.SIGKILL, -signal.SIGKILL), (signal.SIGTERM, 130), (signal.SIGINT, 130)])
 @pytest.mark.parametrize("kind", ["png", "exr"])
 def test_a_killed_run_leaves_whole_frames_and_goes_on(run, work, model, start, kill, code, kind):
@@ -367,11 +367,8 @@ def test_a_killed_run_leaves_whole_frames_and_goes_on(run, work, model, start, k
     assert (work / "out" / frames[0]).stat().st_mtime_ns == before
 
 
-@pytest.mark.skipif(os.name == "nt", reason="file size limits")
 @pytest.mark.parametrize("kind", ["png", "exr"])
 def test_a_disk_that_takes_no_more_is_one_sentence(work, start, kind):
-    import resource
-
     process = start("--frames", "0:3", "--format", kind, "--size", "640x480", "--quiet",
                     preexec_fn=lambda: resource.setrlimit(resource.RLIMIT_FSIZE, (1024, 1024)))
     _, err = process.communicate(timeout=GUARD)

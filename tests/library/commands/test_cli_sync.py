@@ -39,7 +39,6 @@ def test_quick(shifted, capsys):
 
 @pytest.mark.slow
 def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypatch, capsys):
-    pytest.importorskip("pycolmap")
     seen, began = [], []
 
     def few(path, first, lost=(), layout=None, **_):

@@ -9,8 +9,10 @@ import types
 import weakref
 from dataclasses import replace
 
+import av
 import numpy as np
 import pytest
+import torch
 from PIL import Image
 from toy_captures import SIZE, MemoryStore, toy_cameras, toy_capture, toy_scene, write_capture
 
@@ -121,7 +123,6 @@ def test_the_files_hold_what_the_terminal_shows(run, work):
 
 
 def test_pictures_and_film(run, work, model):
-    av = pytest.importorskip("av")
     assert run("--images", "2", "--quiet")[0] == 0
     sheets = sorted(path.name for path in (work / "out").glob("*.png"))
     assert sheets == ["cam00-0000.png", "cam00-0003.png"]
@@ -300,7 +301,6 @@ def test_captures_without_poses_are_refused(truth):
 @pytest.fixture
 def lpips_package(tmp_path, monkeypatch):
     """Stand-ins for the packages lpips and torchvision, built as the real network is, and torch's cache without weights; gives torch."""
-    torch = pytest.importorskip("torch")
     nn = torch.nn
 
     class Network(nn.Module):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
@@ -67,7 +68,6 @@ def test_dssim2_and_psnr_are_scikit_images():
 
 
 def test_dssim1_is_3dgs_convolution():
-    torch = pytest.importorskip("torch")
     picture, truth = (torch.from_numpy(v.transpose(2, 0, 1)[None]) for v in waves())
     window = torch.from_numpy(gaussian_weights())[None, None].repeat(3, 1, 1, 1)
 

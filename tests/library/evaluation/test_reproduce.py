@@ -84,7 +84,6 @@ def technicolor(folder: Path):
 
 
 def immersive(folder: Path):
-    pytest.importorskip("av")
     from fastgs_blender.evaluation.film import film
 
     folder.mkdir(parents=True)

@@ -106,7 +106,6 @@ def checkpoints(folder: Path, rng) -> dict[str, tuple[Path, Path]]:
 
 @pytest.mark.slow
 def test_no_memory_on_the_word_of_pickles(tmp_path, rng):
-    pytest.importorskip("torch")
     for name, (lying, opened) in checkpoints(tmp_path, rng).items():
         told, whole = 0, lying.read_bytes()
         read_first_moment(opened)()

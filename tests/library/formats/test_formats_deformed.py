@@ -14,13 +14,13 @@ from __future__ import annotations
 import mutations
 import numpy as np
 import pytest
+import torch
 from evaluated import kernel_covariance, unit
 from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.model.from_frames import one_model
 
-torch = pytest.importorskip("torch")
 pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
 N = 25
 nn = torch.nn.functional

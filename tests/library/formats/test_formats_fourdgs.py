@@ -9,11 +9,13 @@ import struct
 import sys
 import zlib
 
+import fourdgs as package
 import mutations
 import numpy as np
 import pytest
 import zstandard
 from evaluated import assert_shows, directions, spherical
+from fourdgs import keyframe_delta_file
 
 import fastgs_blender as fg
 from fastgs_blender.util import rotations
@@ -306,7 +308,6 @@ def test_the_conformance_files(shared_data):
 
 
 def test_against_its_own_package(shared_data):
-    package = pytest.importorskip("fourdgs")
     for path in sorted((shared_data / "4dgs").glob("*.4dgs")):
         if path.stem in REFUSED or path.stem.startswith("KeyframeDelta"):
             continue
@@ -329,7 +330,6 @@ def test_against_its_own_package(shared_data):
 
 
 def test_keyframe_delta_against_its_own_package(shared_data, monkeypatch):
-    keyframe_delta_file = pytest.importorskip("fourdgs.keyframe_delta_file")
     monkeypatch.setattr(keyframe_delta_file, "_check_keyframe_mu_t", lambda *_: None)  # their older files have no such times
     for path in sorted((shared_data / "4dgs").glob("KeyframeDelta*.4dgs")):
         decoded, model = keyframe_delta_file.decode_streamed(path.read_bytes()), fg.load(path)

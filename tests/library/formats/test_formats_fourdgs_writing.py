@@ -2,6 +2,7 @@
 """`.4dgs` as we write it: read by us and by its own package."""
 from __future__ import annotations
 
+import fourdgs as package
 import numpy as np
 import pytest
 from random_models import random_model
@@ -39,7 +40,6 @@ def test_what_is_written_is_read(tmp_path, degree, temporal):
 
 
 def test_its_own_package_sees_the_same(tmp_path):
-    package = pytest.importorskip("fourdgs")
     model = model_of(2)
     fg.save(model, tmp_path / "m.4dgs")
     theirs, ours = package.read(tmp_path / "m.4dgs"), fg.load(tmp_path / "m.4dgs")

@@ -12,11 +12,11 @@ from __future__ import annotations
 import mutations
 import numpy as np
 import pytest
+import torch
 from evaluated import colours, directions, kernel_covariance, spherical, unit
 
 import fastgs_blender as fg
 
-torch = pytest.importorskip("torch")
 N, D = 10, 10.0
 
 

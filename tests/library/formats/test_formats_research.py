@@ -14,6 +14,7 @@ from __future__ import annotations
 import mutations
 import numpy as np
 import pytest
+import torch
 from evaluated import assert_shows, directions, kernel_covariance, spherical, unit
 
 import fastgs_blender as fg
@@ -92,7 +93,6 @@ def rotor(rng) -> dict[str, np.ndarray]:
 
 
 def saved(path, arrays) -> None:
-    torch = pytest.importorskip("torch")
     pipeline = {f"_model.gauss_params.{k}": torch.nn.Parameter(torch.tensor(v, dtype=torch.float32)) for k, v in arrays.items()}
     torch.save({"step": 30000, "pipeline": {**pipeline, "_model.device_indicator": torch.zeros(0)}, "optimizers": {}, "schedulers": {},
                 "scalers": {"scale": 65536.0}}, path)

@@ -2,10 +2,7 @@
 """What was written can be read: every model that save() accepts, in every format, is loaded again."""
 from __future__ import annotations
 
-import importlib.util
-import sys
 import warnings
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -55,15 +52,6 @@ def models(draw, still: bool = False) -> fg.GaussianModel:
     return model
 
 
-def pixars_library():
-    """Make pxr importable; that of the bpy wheel lies in a folder of its own."""
-    if importlib.util.find_spec("pxr") is None:
-        spec = importlib.util.find_spec("bpy")
-        places = [Path(place) for place in (spec.submodule_search_locations if spec else [])]
-        sys.path += [str(path.parent) for place in places for path in place.glob("*/python/lib/*/site-packages/pxr")]
-    pytest.importorskip("pxr")
-
-
 def saved(model, path, compress=None) -> list[str]:
     """Save a model; returns what is lost."""
     with warnings.catch_warnings(record=True) as caught:
@@ -75,9 +63,7 @@ def saved(model, path, compress=None) -> list[str]:
 @pytest.mark.parametrize(("extension", "compress"), [
     *((extension, None) for extension in writable() if extension != ".html"),  # web pages are played, and not read
     (".safetensors", "fine"), pytest.param(".safetensors", "small", marks=pytest.mark.slow)])
-def test_every_model_that_is_saved_is_loaded_again(tmp_path, few_pictures, extension, compress):
-    if extension.startswith(".usd"):
-        pixars_library()
+def test_every_model_that_is_saved_is_loaded_again(tmp_path, pxr, few_pictures, extension, compress):
     path, accepted = tmp_path / f"round trip{extension}", []
 
     still = models(still=True)

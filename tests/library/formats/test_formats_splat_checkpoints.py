@@ -14,13 +14,13 @@ from pathlib import Path
 import mutations
 import numpy as np
 import pytest
+import torch
 from evaluated import assert_shows, directions, spherical
 from test_fuzz_static import usable
 
 import fastgs_blender as fg
 from fastgs_blender.formats import identify
 
-torch = pytest.importorskip("torch")
 pytestmark = pytest.mark.filterwarnings("error")
 N = 12
 

@@ -18,6 +18,7 @@ import mutations
 import numpy as np
 import ply_files
 import pytest
+import torch
 from evaluated import assert_shows, directions, spherical
 from random_models import random_model
 
@@ -68,7 +69,6 @@ def ftgs(a, comments=(), velocity=True) -> bytes:
 
 def checkpoint(path, a, **more):
     """A .pt of {"step", "splats": {...}, ...} in PyTorch's zip, written with the library's own pickle of a flat table in it."""
-    torch = pytest.importorskip("torch")
     torch.save({"step": 7, "splats": {key: torch.tensor(value) for key, value in a.items()}, "optimizers": {"means": {"state": {
         0: {"step": torch.tensor(3.0), "exp_avg": torch.zeros(N, 3)}}, "param_groups": [{"lr": 1e-3, "params": [0]}]}}} | more, path)
 

@@ -10,6 +10,7 @@ import zipfile
 
 import numpy as np
 import pytest
+import torch
 
 import fastgs_blender as fg
 from fastgs_blender.formats.torch_zip import STORAGES, Tensor, TorchFile, write
@@ -69,7 +70,6 @@ def test_what_is_written_is_read(rng, tmp_path):
 
 
 def test_torch_agrees(rng, tmp_path):
-    torch = pytest.importorskip("torch")
     write(tmp_path / "ours.pt", {"w": rng.normal(size=(3, 6, 1, 1)), "v": rng.normal(size=4)})
     theirs, ours = torch.load(tmp_path / "ours.pt", weights_only=True), TorchFile(tmp_path / "ours.pt").content
     for name in ("w", "v"):

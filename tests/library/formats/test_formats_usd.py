@@ -2,11 +2,8 @@
 """OpenUSD's ParticleField3DGaussianSplat, by the library that Blender brings along: written and read, still and with time samples."""
 from __future__ import annotations
 
-import importlib.util
 import io
-import sys
 import zipfile
-from pathlib import Path
 
 import mutations
 import numpy as np
@@ -17,17 +14,7 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.formats import usd
 
-pytestmark = pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")
-
-
-@pytest.fixture(scope="module", autouse=True)
-def pxr():
-    """Pixar's library; that of the bpy wheel lies in a folder of its own."""
-    if importlib.util.find_spec("pxr") is None:
-        spec = importlib.util.find_spec("bpy")
-        places = [Path(place) for place in (spec.submodule_search_locations if spec else [])]
-        sys.path += [str(path.parent) for place in places for path in place.glob("*/python/lib/*/site-packages/pxr")]
-    return pytest.importorskip("pxr")
+pytestmark = [pytest.mark.usefixtures("pxr"), pytest.mark.filterwarnings("ignore::fastgs_blender.LossWarning")]
 
 
 def same(a: fg.GaussianModel, b: fg.GaussianModel) -> None:
@@ -117,7 +104,7 @@ def test_no_other_file_is_opened(tmp_path):
 
 
 @pytest.mark.parametrize("typed", [True, False])
-def test_a_file_in_the_place_of_numbers_is_not_looked_for(pxr, tmp_path, typed):
+def test_a_file_in_the_place_of_numbers_is_not_looked_for(tmp_path, typed):
     """USD asks the system for a path as soon as such a value is read, whatever type the attribute says that it has."""
     from pxr import Sdf
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 
 import pytest
 from held_runs import GUARD, until
@@ -24,7 +23,6 @@ def python(tmp_path):
     return make
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the program that stands for Python is a shell script")
 def test_a_driver_that_crashes_ends_one_process_alone(python):
     program = python("echo 'fastgs: testing Arc (1 of 2)' >&2; [ $N -lt 3 ] && kill -SEGV $$\necho '{\"devices\": [], \"auto\": null}'")
     found = Examination("ar", again=True, python=program)
@@ -38,7 +36,6 @@ def test_a_driver_that_crashes_ends_one_process_alone(python):
     assert gone.wait(GUARD) and "No such file" in gone.trouble
 
 
-@pytest.mark.skipif(sys.platform == "win32", reason="the program that stands for Python is a shell script")
 def test_it_can_be_stopped(python):
     running = Examination(python=python("echo 'fastgs: testing Arc (1 of 1)' >&2; exec sleep 600"))
     until(lambda: running.line == "testing Arc (1 of 1)")

@@ -2,6 +2,7 @@
 """The queue of training jobs: nothing is lost in it, several programs share it, and no file harms it.  No training takes place."""
 from __future__ import annotations
 
+import fcntl
 import json
 import logging
 import multiprocessing
@@ -294,7 +295,6 @@ def test_a_malformed_job_is_passed_over_with_a_note(make_jobs, tmp_path, content
     assert known.start_next().id == job.id
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes with names")
 def test_a_pipe_among_the_jobs_does_not_hang(make_jobs, tmp_path):
     known = make_jobs()
     job = add(known, tmp_path)
@@ -342,7 +342,6 @@ def test_locks_of_two_looks_do_not_disturb_each_other(tmp_path):
     path = tmp_path / "lock"
     path.touch()
     code = ("import fcntl, sys; f = open(sys.argv[1]); fcntl.flock(f, fcntl.LOCK_SH); print('looking', flush=True); sys.stdin.read()")
-    fcntl = pytest.importorskip("fcntl")
     assert fcntl
     child = subprocess.Popen([sys.executable, "-c", code, path], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True)
     assert child.stdout.readline() == "looking\n"

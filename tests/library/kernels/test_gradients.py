@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from random_cameras import random_pose
 from random_models import BASES, TEMPORALS, random_model
 
@@ -296,7 +297,6 @@ def test_screen_statistics(rng):
 
 
 def test_torch_gets_the_same_pictures_and_gradients(rng):
-    torch = pytest.importorskip("torch")
     from fastgs_blender import torch as differentiable
 
     for appearance, depth in (("sh1", False), ("sigmoid", True)):
@@ -314,7 +314,6 @@ def test_torch_gets_the_same_pictures_and_gradients(rng):
 
 
 def test_tensors_that_changed_since_are_refused(rng):
-    torch = pytest.importorskip("torch")
     from fastgs_blender import torch as differentiable
 
     model, camera = small_model(rng), small_camera(rng)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import loss
@@ -12,8 +13,6 @@ from fastgs_blender.kernels.protocol import ForwardPass
 from fastgs_blender.training.core import losses
 from fastgs_blender.util import threads
 from fastgs_blender.util.backends import load_backend
-
-torch = pytest.importorskip("torch")
 
 
 def blurred(image):

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu import raster
 from fastgs_blender.kernels.cpu import rasterise as cpu
 from fastgs_blender.rendering.oracle import T_STOP
 from fastgs_blender.util import threads
-
-torch = pytest.importorskip("torch")
 
 CUT = 1 / 255
 CAMERA = fg.Camera(53, 37, 40, 40, 26, 18, np.eye(4))

@@ -114,7 +114,6 @@ def test_speeds_and_accelerations_follow_from_the_weights():
 
 @pytest.mark.parametrize("densify_time", ["keep", "random"])
 def test_it_trains(densify_time):
-    pytest.importorskip("torch")
     from toy_captures import toy_capture
 
     from fastgs_blender.training.core.settings import settings

@@ -16,18 +16,15 @@ import pytest
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
-
-torch = pytest.importorskip("torch")
-
-from fastgs_blender.training.core import settings  # noqa: E402
-from fastgs_blender.training.core.camera_estimates import SUMS  # noqa: E402
-from fastgs_blender.training.core.start import Start  # noqa: E402
-from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
-from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, plan, session, written  # noqa: E402
-from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL  # noqa: E402
-from fastgs_blender.training.run.folder import release  # noqa: E402
-from fastgs_blender.training.run.intermediate import model_of  # noqa: E402
+from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.camera_estimates import SUMS
+from fastgs_blender.training.core.start import Start
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.first_model import model_from_points
+from fastgs_blender.training.run import checkpoint, plan, session, written
+from fastgs_blender.training.run.files import CHECKPOINT, REPORT, RUN, SEGMENT_DONE, SEGMENT_MODEL
+from fastgs_blender.training.run.folder import release
+from fastgs_blender.training.run.intermediate import model_of
 
 FEW = dict(iterations=40, init_points=20, max_gaussians=40, warm_up=(), densify_every=10, densify_from=0.1, preview_every=0, init_scale=1.0)
 

@@ -25,7 +25,6 @@ from fastgs_blender.training.initial.start import start
 from fastgs_blender.training.initial.starting_points import initial_points
 from fastgs_blender.util import threads
 
-pytest.importorskip("pycolmap")
 FRAMES, VIEWS, SIZE = 4, 6, (200, 150)
 FLOOR, WALL, CARD_DEPTH, CARD_HALF = 1.0, 3.0, 0.5, 0.45
 """y of the floor (down), z of the wall and of the card, half the card's side."""

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+import torch
 
 from fastgs_blender.training.core.optimiser import Optimiser
 from fastgs_blender.util import threads
@@ -24,7 +25,6 @@ RATES = {"position": 1e-2, "motion": 1e-3 / np.repeat(np.arange(1.0, 11), 3), "o
 
 
 def test_it_is_adam_where_every_row_is_seen(rng):
-    torch = pytest.importorskip("torch")
     ours = Optimiser(arrays(rng))
     theirs = {name: torch.tensor(array, dtype=torch.float64, requires_grad=True) for name, array in ours.arrays.items() if array.size}
     columns = list(theirs["motion"].detach().reshape(50, 30).T)  # a rate for each column: a group for each
@@ -66,7 +66,6 @@ def test_rows_that_were_not_seen_stay_and_keep_their_own_count(rng):
 @pytest.mark.parametrize("period", [1, 4, 16])
 def test_what_is_seldom_seen_goes_as_far_as_by_the_usual_adam(period):
     """Which moves every row in every step, by what it remembers: torch's."""
-    torch = pytest.importorskip("torch")
     ours = Optimiser({"position": np.zeros((2, 3), np.float32)})
     theirs = torch.zeros(3, requires_grad=True)
     adam = torch.optim.Adam([theirs], lr=1e-3, eps=1e-15)
@@ -80,7 +79,6 @@ def test_what_is_seldom_seen_goes_as_far_as_by_the_usual_adam(period):
 
 def test_what_hardly_any_slope_pulls_at_stays_where_it_is(rng):
     """A floor is torch's epsilon; arrays without one have next to none."""
-    torch = pytest.importorskip("torch")
     ours = Optimiser(arrays(rng))
     before = {name: array.copy() for name, array in ours.arrays.items()}
     theirs = torch.tensor(before["position"], requires_grad=True)

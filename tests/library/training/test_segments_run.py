@@ -12,9 +12,6 @@ import pytest
 from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
-
-pytest.importorskip("torch")
-
 from fastgs_blender.training.core import settings
 from fastgs_blender.training.run import plan, segments, session
 

@@ -46,7 +46,6 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch)
     reporter.close()
 
 
-@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="this system has no pipes")
 @pytest.mark.parametrize("name", [progress.LOG, progress.STATUS, progress.PLOT])
 def test_a_pipe_in_the_folder_does_not_stop_a_run(tmp_path, clock, capsys, name):
     os.mkfifo(tmp_path / name)

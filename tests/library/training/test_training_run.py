@@ -15,17 +15,14 @@ from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
 from fastgs_blender import cli
-
-torch = pytest.importorskip("torch")
-
-from fastgs_blender.training.core import settings  # noqa: E402
-from fastgs_blender.training.core.start import Start  # noqa: E402
-from fastgs_blender.training.core.trainer import Trainer  # noqa: E402
-from fastgs_blender.training.initial.first_model import model_from_points  # noqa: E402
-from fastgs_blender.training.run import checkpoint, folder, plan, session  # noqa: E402
-from fastgs_blender.training.run.launch import launch, source_of  # noqa: E402
-from fastgs_blender.training.run.progress import Reporter  # noqa: E402
-from fastgs_blender.util import locks  # noqa: E402
+from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.start import Start
+from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial.first_model import model_from_points
+from fastgs_blender.training.run import checkpoint, folder, plan, session
+from fastgs_blender.training.run.launch import launch, source_of
+from fastgs_blender.training.run.progress import Reporter
+from fastgs_blender.util import locks
 
 ROOT = Path(__file__).resolve().parents[3]
 FEW = dict(iterations=60, init_points=80, max_gaussians=160, densify_every=10, densify_from=0.1, densify_until=0.9, warm_up=(),

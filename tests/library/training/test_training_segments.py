@@ -78,7 +78,6 @@ def test_what_is_joined_shows_each_segment_and_fades_without_a_gap(rng, make_mod
 
 
 def test_a_long_capture_becomes_one_file(tmp_path, monkeypatch):
-    pytest.importorskip("torch")
     from fastgs_blender.training.run import plan, session
 
     capture, store, points = toy_capture(frames=14, views=3)

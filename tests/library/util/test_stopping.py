@@ -17,7 +17,6 @@ from fastgs_blender.util import stopping
 
 ROOT = Path(__file__).resolve().parents[3]
 CHILD = ROOT / "fastgs_blender" / "jobs" / "child.py"
-pytestmark = pytest.mark.skipif(os.name == "nt", reason="signals")
 
 
 def ended(command, number, place, tmp_path):

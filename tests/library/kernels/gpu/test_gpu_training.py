@@ -7,6 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import torch
 from random_cameras import random_pose
 from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 from toy_captures import toy_capture
@@ -191,7 +192,6 @@ def test_whatever_stage_of_a_step_fails_is_a_device_error(gpu, monkeypatch):
 
 def test_torch_differentiates_by_pose_on_the_gpu(gpu, adapter, rng):
     """The same gradients as on the CPU, and those of the pose are the picture's differences on the GPU (gradcheck)."""
-    torch = pytest.importorskip("torch")
     from fastgs_blender import torch as ours
 
     model = random_model(rng, 40, "cubic", "line", "radial", "sigmoid", extent=0.6, size=0.2)
