@@ -6,8 +6,6 @@ import json
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from PIL import Image
 from spots import SpotRig
 
@@ -199,30 +197,6 @@ def test_damaged_files(tmp_path, content):
     (tmp_path / "transforms.json").write_bytes(content)
     with pytest.raises(fg.FastGSError, match="transforms.json"):
         open_capture(tmp_path)
-
-
-JSON = st.recursive(st.none() | st.booleans() | st.floats() | st.integers() | st.text(max_size=4),
-                    lambda inner: st.lists(inner, max_size=3) | st.dictionaries(st.text(max_size=3), inner, max_size=2), max_leaves=8)
-
-
-KEYS = ("w", "fl_x", "cx", "k1", "camera_model", "camera_angle_x", "frames", "ply_file_path", "test_filenames", "is_fisheye")
-FRAME_KEYS = ("time", "mask_path", "transform_matrix", "file_path")
-
-
-@settings(max_examples=80)
-@given(key=st.sampled_from(KEYS + FRAME_KEYS), value=JSON)
-def test_any_value_is_read_or_refused(tmp_path_factory, key, value):
-    folder = tmp_path_factory.mktemp("transforms")
-    Image.new("RGB", (16, 12)).save(folder / "a.png")
-    entry = {"file_path": "a.png", "transform_matrix": np.eye(4).tolist()}
-    values = {"fl_x": 10, "w": 16, "h": 12, "frames": [entry]}
-    (entry if key in FRAME_KEYS else values)[key] = value
-    (folder / "transforms.json").write_text(json.dumps(values))
-    try:
-        capture = open_capture(folder)
-    except fg.FastGSError:
-        return
-    assert all(np.isfinite(shot.camera.world_to_camera).all() and np.isfinite(shot.t) for shot in capture.shots)
 
 
 def test_a_part_of_stated_times_is_a_clip_of_its_own(dnerf):

@@ -13,8 +13,6 @@ import mutations
 import numpy as np
 import ply_files
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from random_models import random_model
 
 import fastgs_blender as fg
@@ -180,13 +178,6 @@ def test_pipes_and_devices_are_refused_at_once(tmp_path, valid, read):
     os.mkfifo(tmp_path / "full.pt")
     with pytest.raises(fg.FastGSError, match=r"full\.pt .*pipe"):
         fg.load(tmp_path / "full.ply")
-
-
-@settings(max_examples=120)
-@given(head=st.sampled_from([b"", b"ply\n", b"ply\nformat ascii 1.0\nelement vertex 2\n", b"\x4b\x67\0\0", b"\x20\0\0\0\0\0\0\0{"]),
-       rest=st.binary(max_size=300))
-def test_noise(tmp_path, head, rest):
-    loaded(tmp_path / "m", head + rest, rest)
 
 
 def test_no_memory_on_the_word_of_a_file(valid, tmp_path):
