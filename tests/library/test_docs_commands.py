@@ -48,7 +48,6 @@ def folder(files, tmp_path, monkeypatch):
     """Where a page's commands run."""
     shutil.copytree(files, tmp_path, dirs_exist_ok=True)
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
     return tmp_path
 
 

@@ -73,7 +73,6 @@ def test_everything_is_on_the_page_and_has_an_example(api_docs):
 @pytest.mark.slow
 def test_the_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
     shutil.copytree(ROOT / "examples", "examples", ignore=shutil.ignore_patterns("*.py"))
     write_capture(Path("my-capture"), frames=16)  # clocks are compared along them
     positions = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]

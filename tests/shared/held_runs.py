@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Holds training processes at a step (fastgs_blender/training/run/barrier.py), so that tests know where a run is when they act on it."""
+"""Holds training processes at a step (held/sitecustomize.py), so that tests know where a run is when they act on it."""
 from __future__ import annotations
 
 import os
@@ -10,6 +10,9 @@ from pathlib import Path
 GUARD = 600.0
 """Seconds after which a test that waits gives up.  Only a guard against hanging: no test is right or wrong by it.  What hangs is tried
 once more in what CI has left."""
+
+HOOK = Path(__file__).parent / "held"
+"""On PYTHONPATH it makes a process wait."""
 
 
 def until(done: Callable[[], object], guard: float = GUARD):
@@ -22,7 +25,7 @@ def until(done: Callable[[], object], guard: float = GUARD):
 
 
 class Barrier:
-    """A place at which training processes wait; see the module of the library."""
+    """A place at which training processes wait."""
 
     def __init__(self, file: Path):
         self.file, self.reached = Path(file), Path(f"{file}.reached")
@@ -30,7 +33,7 @@ class Barrier:
     @property
     def variables(self) -> dict[str, str]:
         """Environment variables for the processes that are to be held."""
-        return {"FASTGS_BARRIER": str(self.file)}
+        return {"FASTGS_BARRIER": str(self.file), "PYTHONPATH": os.pathsep.join([str(HOOK), *filter(None, [os.environ.get("PYTHONPATH")])])}
 
     def hold_at(self, place: str) -> None:
         """From now on processes wait at "step N" or "checkpoint N", or the first such place after it; those that wait go on."""

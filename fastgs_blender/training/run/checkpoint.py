@@ -10,7 +10,6 @@ from ...util.outputs import writing
 from ...util.reading import reading
 from ...util.tensor_files import open_tensors, write_tensors
 from ..core.state import LARGEST_COUNT, LONGEST, is_number
-from . import barrier
 from .files import CHECKPOINT
 
 VERSION = 1
@@ -22,7 +21,6 @@ def save(folder: Path, arrays: dict[str, np.ndarray], about: dict) -> None:
     """Replace the folder's checkpoint.  If that fails, the previous one is kept, and FastGSError gives the reason."""
     with writing([Path(folder) / CHECKPOINT]) as (part,):
         write_tensors(part, arrays, {KEY: json.dumps({"version": VERSION, **about}, allow_nan=False)})
-        barrier.wait("checkpoint", about.get("iteration", 0))
 
 
 def load(folder: Path) -> tuple[dict[str, np.ndarray], dict] | None:

@@ -19,7 +19,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import appending, writing
 from ...util.progress import progress
 from ...util.reading import parse_json, read_bytes
-from . import barrier, checkpoint
+from . import checkpoint
 from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
 from .plot import write_plot
 
@@ -123,7 +123,6 @@ class Reporter:
             self._log(row)
         if self.state != "training" or self.clock() - self.status_time > STATUS_SECONDS:  # the first step of every process is reported
             self.status("training", **values)
-        barrier.wait("step", iteration)
 
     def status(self, state: str, **values: Any) -> None:
         """status.json: state is preparing, training, stopped, failed or finished."""
@@ -183,8 +182,6 @@ class Reporter:
         self._safely("the log", write)
 
     def _board(self) -> Any:
-        if os.environ.get("FASTGS_NO_TENSORBOARD"):
-            return None
         if not importlib.util.find_spec("tensorboard"):  # torch is imported for nothing else here
             return None
         try:

@@ -14,7 +14,7 @@ from types import SimpleNamespace
 import bpy
 import numpy as np
 import pytest
-from held_runs import GUARD, Barrier, until
+from held_runs import GUARD, HOOK, Barrier, until
 
 FEW = ("--set", "init_points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "init=random")
 
@@ -94,6 +94,7 @@ def barrier(tmp_path, monkeypatch):
     held = Barrier(tmp_path / "barrier")
     for name, value in held.variables.items():
         monkeypatch.setenv(name, value)
+    monkeypatch.syspath_prepend(HOOK)  # where the path of Blender's own Python comes from
     yield held
     held.release()
 

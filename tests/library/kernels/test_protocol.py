@@ -127,9 +127,8 @@ OPTIONS = ["--quiet", "--device", "cpu", "--iterations", "4", "--set", "densify_
 
 
 @pytest.mark.slow
-def test_training_needs_no_torch_and_makes_the_same_model_without(tmp_path, monkeypatch):
+def test_training_needs_no_torch_and_makes_the_same_model_without(tmp_path):
     """Without torch: train, stop, resume, start from a model, measure, tell.  Where torch is imported, the same bytes come out."""
-    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
     code = WITHOUT_TORCH.replace("OPTIONS", repr(OPTIONS))
     result = subprocess.run([sys.executable, "-c", code, str(tmp_path)], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr

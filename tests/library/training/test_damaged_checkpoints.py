@@ -232,7 +232,6 @@ def test_mutations(toy, whole, tmp_path):
 @pytest.mark.slow
 def test_mutations_of_the_small_files(tmp_path, monkeypatch):
     """run.json, done.json and the log of a run that is resumed."""
-    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
     monkeypatch.setattr("tqdm.tqdm.monitor_interval", 0)  # no thread for each of the bars
     chosen = settings.settings(**FEW)
     segment = session.segment_folder(tmp_path, 0)

@@ -96,7 +96,7 @@ def test_two_processes_train_segments_as_one_does(tmp_path):
     files = write_capture(tmp_path / "toy", 14, 4)
     chosen = {name: value for name, value in OPTIONS.items() if name not in ("warm_up", "iterations")} | {"iterations": 60}
     options = ["--init", "file", *(word for name, value in chosen.items() for word in ("--set", f"{name}={value}"))]
-    environment = {**os.environ, "FASTGS_NO_TENSORBOARD": "1", "OMP_NUM_THREADS": "1"}
+    environment = {**os.environ, "OMP_NUM_THREADS": "1"}
     torchrun = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2"]
     for out, command, batch in (("one", [sys.executable], 2), ("two", torchrun, 1)):
         words = [*command, "-m", "fastgs_blender", "train", str(files), "--out", str(tmp_path / out), *options, "--batch", str(batch)]

@@ -14,11 +14,9 @@ from fastgs_blender.training.run import progress
 
 
 @pytest.fixture
-def clock(monkeypatch):
+def clock():
     """Seconds that pass only when told, from the second 1000 on."""
-    watch = SimpleNamespace(now=1000.0)
-    monkeypatch.setenv("FASTGS_NO_TENSORBOARD", "1")
-    return watch
+    return SimpleNamespace(now=1000.0)
 
 
 @pytest.mark.parametrize("begin", [0, 40])

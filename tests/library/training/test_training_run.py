@@ -117,8 +117,7 @@ def arguments(capture, out, *more):
 
 
 def fastgs(*args, **options):
-    environment = {**os.environ, "FASTGS_NO_TENSORBOARD": "1"}
-    return subprocess.run([sys.executable, "-m", "fastgs_blender", *args], cwd=ROOT, env=environment, capture_output=True, text=True,
+    return subprocess.run([sys.executable, "-m", "fastgs_blender", *args], cwd=ROOT, capture_output=True, text=True,
                           check=False, **options)
 
 
@@ -167,7 +166,7 @@ def test_what_is_there_is_not_overwritten(files, finished):
 def barrier(tmp_path, monkeypatch):
     """Holds the training processes that this test starts."""
     held = Barrier(tmp_path / "barrier")
-    for name, value in {**held.variables, "FASTGS_NO_TENSORBOARD": "1"}.items():
+    for name, value in held.variables.items():
         monkeypatch.setenv(name, value)
     yield held
     held.release()
@@ -307,7 +306,7 @@ def test_two_processes_are_one_with_twice_the_batch(files, tmp_path, density):
     assert alone.returncode == 0, alone.stderr
     script = [sys.executable, "-m", "torch.distributed.run", "--standalone", "--nproc-per-node=2", "-m", "fastgs_blender"]
     both = subprocess.run([*script, *arguments(files, two, "--density", density)], cwd=ROOT, capture_output=True,
-                          text=True, check=False, env={**os.environ, "FASTGS_NO_TENSORBOARD": "1", "OMP_NUM_THREADS": "1"})
+                          text=True, check=False, env={**os.environ, "OMP_NUM_THREADS": "1"})
     assert both.returncode == 0, both.stderr
     logs = [[json.loads(line) for line in (out / "log.jsonl").read_text().splitlines()] for out in (one, two)]
     assert [row["gaussians"] for row in logs[0]] == [row["gaussians"] for row in logs[1]]
