@@ -15,9 +15,16 @@ from PIL import Image
 import fastgs_blender as fg
 from fastgs_blender.formats.native import Native
 from fastgs_blender.formats.rate import LEVELS, Loss
-from fastgs_blender.formats.web.page import Page, PageObject, Sound, page_text
+from fastgs_blender.formats.web.page import Page, PageObject, Sound, write_page
 
 SIZE = (480, 270)
+
+
+def page_text(page, files):
+    """The HTML of a page."""
+    text = io.StringIO()
+    write_page(text, page, files)
+    return text.getvalue()
 
 
 @pytest.fixture(scope="module")

@@ -10,7 +10,7 @@ from drawn_pages import saved
 from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.formats.web.page import Page, PageObject, page_text
+from fastgs_blender.formats.web.page import Page, PageObject, write_page
 
 COUNT = 300_000
 WATCH = """
@@ -57,8 +57,8 @@ def opened(browser, folder: Path):
     """A tab, at rest, with the page of such a crowd."""
     camera = fg.Camera(160, 90, 120, 120, 80, 45, fg.look_at((0, -2, 0.2), (0, 0, 0)))
     model, data = saved(crowd(), folder / "crowd.safetensors")
-    text = page_text(Page([PageObject(model)], [camera], frames=40, fps=24), [data])
-    (browser.folder / "crowd.html").write_text(text, "utf-8")
+    with (browser.folder / "crowd.html").open("w", encoding="utf-8") as stream:
+        write_page(stream, Page([PageObject(model)], [camera], frames=40, fps=24), [data])
     tab = browser.open("crowd.html#t=0", (160, 90), before=WATCH)
     tab.evaluate("fastgs.ready")
     tab.rest()

@@ -14,7 +14,7 @@ from random_models import APPEARANCES, BASES, TEMPORALS, random_model
 import fastgs_blender as fg
 from fastgs_blender.cameras.viewpoints import camera_of
 from fastgs_blender.formats.web.long import clip_page
-from fastgs_blender.formats.web.page import Page, PageObject, page_text
+from fastgs_blender.formats.web.page import Page, PageObject, write_page
 from fastgs_blender.rendering.volumes import mesh_volume
 
 EXAMPLE = Path(__file__).resolve().parents[2] / "examples" / "fireside.safetensors"
@@ -30,7 +30,8 @@ def played(browser):
     tabs = []
 
     def play(page, files, **options):
-        (browser.folder / "page.html").write_text(page_text(page, files), "utf-8")
+        with (browser.folder / "page.html").open("w", encoding="utf-8") as stream:
+            write_page(stream, page, files)
         tabs.append(browser.open("page.html#t=0", **options))
         tabs[-1].until("['ready', 'failed'].includes(document.body.dataset.state)")
         tabs[-1].rest()

@@ -36,12 +36,11 @@ player interpolates them.  After the last frame the last one stays.
 import base64
 import hashlib
 import html
-import io
 import json
 import shutil
 import tempfile
 import zlib
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -189,19 +188,12 @@ class Page:
         }
 
 
-def page_text(page: Page, files: Iterable[bytes], player: Mapping[str, str] | None = None) -> str:
-    """The HTML of a page whose models lie in these compressed files, one for each of page.models.
+def write_page(stream: TextIO, page: Page, files: Iterable[bytes]) -> None:
+    """Write the HTML of a page whose models lie in these compressed files, one for each of page.models.
 
-    player  the player's files by name, where they are not those in the folder
+    One file after another is asked for, and none stays in memory.
     """
-    text = io.StringIO()
-    write_page(text, page, files, player)
-    return text.getvalue()
-
-
-def write_page(stream: TextIO, page: Page, files: Iterable[bytes], player: Mapping[str, str] | None = None) -> None:
-    """Write page_text(): one file after another is asked for, and none stays in memory."""
-    player = player_files() if player is None else player
+    player = player_files()
     workers = {name.removesuffix(".js"): joined(name, player) for name in player if name.endswith("_worker.js")}
     parts = {}
     with tempfile.TemporaryFile("w+", encoding="ascii", newline="\n") as spool:  # the description comes first, and sums them up
