@@ -125,10 +125,10 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
     """
     template, camera, t = ctx.view
     arrays = {name: value.detach().cpu().numpy() for name, value in values.items()}
-    look = template.appearance
-    if isinstance(look, Features):
-        look = replace(look, **{name: arrays[name] for name in DECODER})
-    model = replace(template, appearance=look, **{name: arrays[name] for name in template.arrays})
+    appearance = template.appearance
+    if isinstance(appearance, Features):
+        appearance = replace(appearance, **{name: arrays[name] for name in DECODER})
+    model = replace(template, appearance=appearance, **{name: arrays[name] for name in template.arrays})
     now = slice_model(model, t, cull=False)
     quaternions = quaternions_at(model, t)
     to_world = camera.world_to_camera[:3, :3].T
@@ -145,14 +145,14 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
         def colour(step: float, k: int = k, steady: Any = steady) -> float:
             eye = replace(camera, world_to_camera=_left(step * steps[k], shift) @ camera.world_to_camera)
             instance = Instance(model, np.eye(4), t, AS_TRAINED).viewed(eye)
-            if isinstance(look, Features):
+            if isinstance(appearance, Features):
                 weight = np.asarray(ctx.backend.numpy(ctx.picture.alpha), np.float64)
                 features = np.asarray(ctx.backend.numpy(ctx.picture.features), np.float64)
-                return (decode_features(features, weight, instance, eye, look.decode) * by_rgb).sum()
+                return (decode_features(features, weight, instance, eye, appearance.decode) * by_rgb).sum()
             seen = colours(replace(now, position=now.position - step * steady), instance, eye)
             return (seen * by["features"][:, :3].astype(np.float64) / SH_C0).sum()
 
-        if by_rgb is not None and not isinstance(momentary(look), RGB):
+        if by_rgb is not None and not isinstance(momentary(appearance), RGB):
             reach = NUDGE * (1.0 if k < 3 else max(float(np.abs(now.position - pivot).mean()), 1e-6))
             slope[k] += (colour(reach) - colour(-reach)) / (2 * reach)
     slope[:3] = slope[:3] @ _left_jacobian(ctx.pose.detach().cpu().numpy().astype(np.float64)[:3])

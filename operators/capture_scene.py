@@ -53,7 +53,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
                         return end.value
                     progress.measure(context.scene, self)
                     watch.redraw()
-                    yield shown.done, shown.whole, shown.doing
+                    yield shown.done, shown.total, shown.doing
         except RuntimeError as error:  # Blender's own words about a render that failed
             raise FastGSError(f"a picture could not be rendered ({str(error).strip()}); render the scene by itself to see why.") from error
         finally:

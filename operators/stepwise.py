@@ -25,7 +25,7 @@ REPORT_EVERY = 5.0
 class Stepwise(Action):
     """Base class of operators whose work is a generator, steps(); its return value goes to finish().
 
-    The generator yields (done, whole), perhaps with a third member, what is being done; or the share 0..1 that is done.
+    The generator yields (done, total), perhaps with a third member, what is being done; or the share 0..1 that is done.
 
     An invoke() of the class's own must set `_interactive`; a call from a script, or a repetition with other values, blocks.
     """
@@ -103,9 +103,9 @@ class Stepwise(Action):
         self._close(context)
         return self._ended(lambda: self.finish(context, result))
 
-    def _show(self, context, done, whole, stage=""):
-        context.window_manager.progress_update(100 * done / max(whole, 1))
-        share = f"{done} of {whole}" if whole != 1 else f"{done:.0%}"
+    def _show(self, context, done, total, stage=""):
+        context.window_manager.progress_update(100 * done / max(total, 1))
+        share = f"{done} of {total}" if total != 1 else f"{done:.0%}"
         text = ": ".join(filter(None, (self.doing, stage if stage != self.doing else "", share)))
         if not bpy.app.background and context.workspace:
             rest = "Esc interrupts" if self.free else "only the view can be turned; Esc interrupts"

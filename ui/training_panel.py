@@ -179,7 +179,7 @@ def draw_filming(box, context, filming):
     box.label(text=filming.name, icon='OUTLINER_OB_CAMERA')
     left = f", {results.duration(filming.seconds_left)} left" if filming.seconds_left else ""
     box.progress(factor=filming.share, text=f"{filming.doing} {100 * filming.share:.0f} %{left}")
-    draw_rows(box, [("Pictures", f"{filming.done:,} of {filming.whole:,}")])
+    draw_rows(box, [("Pictures", f"{filming.done:,} of {filming.total:,}")])
     draw_trouble(box, context, "Meanwhile only the view can be turned, between two pictures; Esc interrupts.", 'INFO')
 
 

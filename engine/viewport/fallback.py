@@ -56,7 +56,7 @@ def render(snapshot: Snapshot, camera: fg.Camera, working: np.ndarray, backgroun
         instances = [replace(each, surface=data.surfaces.get(each.name)) for each in instances]
     if data is not None and data.name != PICTURE:
         image = fg.render(instances, camera, passes=(data.name,), backend=backend, settings=data.settings, holdout=data.holdout)[data.name]
-        colour = srgb_to_linear(PASSES[data.name].look(image)) @ working.T
+        colour = srgb_to_linear(PASSES[data.name].display(image)) @ working.T
         return np.concatenate([colour, np.ones_like(colour[..., :1])], -1).astype(np.float32)[::-1]
     if isinstance(background, Panorama):
         background = background.behind(camera)

@@ -28,24 +28,24 @@ def run(inspection: Inspection) -> Section:
     """Brightness and tint of each camera against the others, its darkness and burnt parts, and its changes over time."""
     section = Section("Exposure", "How bright each camera is against the others, by the colours of features that they see in common; where "
                       "too few are, by the means of whole pictures.")
-    gains, whole = brightness(inspection)
+    gains, by_pictures = brightness(inspection)
     even = {view: float(np.exp(np.mean(gain[0]))) for view, gain in gains.items()}
-    _uneven(section, even, gains, whole)
+    _uneven(section, even, gains, by_pictures)
     _dark(section, inspection)
     _changing(section, inspection)
     told = {view: "poor" for finding in section.findings for view in finding.views}
     section.pictures.insert(0, drawing.bars("Brightness of each camera; 1 is the median of all.", even, "", told, (1.0, "1"), "x {:.2f}"))
-    section.columns = {"Brightness": {view: f"x {value:.2f}" + (" (unsure)" if view in whole else f" ± {gains[view][1].mean():.2f}")
+    section.columns = {"Brightness": {view: f"x {value:.2f}" + (" (unsure)" if view in by_pictures else f" ± {gains[view][1].mean():.2f}")
                                       for view, value in even.items()}}
-    section.measures |= {"brightness": {view: round(value, 4) for view, value in even.items()}, "by_whole_pictures": sorted(whole),
+    section.measures |= {"brightness": {view: round(value, 4) for view, value in even.items()}, "by_whole_pictures": sorted(by_pictures),
                          "channels": {view: [round(float(v), 4) for v in np.exp(gain[0])] for view, gain in gains.items()},
-                         "uncertainty": {view: round(float(gain[1].mean()), 4) for view, gain in gains.items() if view not in whole}}
+                         "uncertainty": {view: round(float(gain[1].mean()), 4) for view, gain in gains.items() if view not in by_pictures}}
     return section
 
 
 def brightness(inspection: Inspection) -> tuple[dict[str, np.ndarray], set[str]]:
     """Logarithm of each camera's channels against the median camera, and its standard deviation [2, 3]; and the cameras of which matched
-    features tell nothing: theirs are of whole pictures."""
+    features tell nothing, so that theirs are of whole pictures."""
     means = {view: np.log(np.maximum(np.median([_mean(sample) for sample in samples], 0), 1e-3))
              for view, samples in inspection.samples.items()}
     middle = np.median(list(means.values()), 0)
@@ -85,17 +85,17 @@ def _mean(sample: Sample) -> np.ndarray:
     return rgb.reshape(-1, 3).mean(0) / 255
 
 
-def _uneven(section: Section, even: dict[str, float], gains: dict[str, np.ndarray], whole: set[str]) -> None:
+def _uneven(section: Section, even: dict[str, float], gains: dict[str, np.ndarray], by_pictures: set[str]) -> None:
     advice = "Set exposure, gain and white balance by hand, the same on all cameras."
     off = {view: value for view, value in even.items()
-           if (max(value, 1 / value) - 1 > UNEVEN_WHOLE if view in whole else
+           if (max(value, 1 / value) - 1 > UNEVEN_WHOLE if view in by_pictures else
                differs(np.log(value), gains[view][1].mean(), np.log1p(UNEVEN)))}
     words = {view: f"{view} is {value:.2f} times as bright ({abs(np.log2(value) * GAMMA):.1f} stops "
                    f"{'brighter' if value > 1 else 'darker'})"
              for view, value in off.items()}
     for views, severity, how in (
-            ([view for view in off if view not in whole], "poor", "By what they see in common, "),
-            ([view for view in off if view in whole], "note", "Unsure: by whole pictures, which may show other things, ")):
+            ([view for view in off if view not in by_pictures], "poor", "By what they see in common, "),
+            ([view for view in off if view in by_pictures], "note", "Unsure: by whole pictures, which may show other things, ")):
         if views:
             section.add(severity, f"{how}{listed([words[view] for view in views])} as the others: surfaces change their colour from view "
                         "to view.", advice, views, ("brightness", _farthest(even[v] for v in views), "times"))
@@ -103,7 +103,7 @@ def _uneven(section: Section, even: dict[str, float], gains: dict[str, np.ndarra
     for view, gain in gains.items():
         tint = np.exp(gain[0] - gain[0].mean())
         channel = int(np.abs(tint - 1).argmax())
-        if view not in whole and differs(np.log(tint[channel]), gain[1, channel], np.log1p(TINT)):
+        if view not in by_pictures and differs(np.log(tint[channel]), gain[1, channel], np.log1p(TINT)):
             tints[view] = f"{view} ({('red', 'green', 'blue')[channel]} x {tint[channel]:.2f})", float(tint[channel])
     if tints:
         section.add("poor", f"{listed([words for words, _ in tints.values()])} {'has' if len(tints) == 1 else 'have'} another white "

@@ -85,7 +85,7 @@ def digest(model: GaussianModel) -> str:
     """What tells a model from others: its arrays and kinds, wherever it came from."""
     about = {key: value for key, value in describe(model).items() if key != "provenance"}
     found = hashlib.blake2b(json.dumps(about, sort_keys=True).encode(), digest_size=16)
-    look = model.appearance
-    for array in (*model.arrays.values(), *((look.w1, look.w2) if isinstance(look, Features) else ())):
+    appearance = model.appearance
+    for array in (*model.arrays.values(), *((appearance.w1, appearance.w2) if isinstance(appearance, Features) else ())):
         found.update(np.ascontiguousarray(array).data)
     return found.hexdigest()

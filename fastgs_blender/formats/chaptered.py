@@ -14,7 +14,7 @@ import numpy as np
 
 from ..model.chapters import Chapter, Chapters, Piece
 from ..model.gaussians import GaussianModel
-from ..model.joining import same_look
+from ..model.joining import same_appearance
 from ..util.arguments import finite
 from ..util.errors import FastGSError
 from ..util.identity import status_of
@@ -31,27 +31,27 @@ PIECE, CHAPTER = "piece.{}.", "chapter.{}."
 """What the names of their arrays begin with."""
 
 
-def opened(path: Path, file: TensorFile, about: dict, kinds: GaussianModel) -> Chapters:
-    """The clip in an open file; about: the header, kinds: a model of its kinds.  Raises FastGSError for a damaged one."""
+def opened(path: Path, file: TensorFile, about: dict, template: GaussianModel) -> Chapters:
+    """The clip in an open file; about: the header, template: a model of its kinds.  Raises FastGSError for a damaged one."""
     listed, pieces = about.get("chapters"), about.get("pieces")
     damaged_if(not isinstance(listed, list) or not listed or not isinstance(pieces, list), "its header lists no chapters and pieces")
     assert isinstance(listed, list) and isinstance(pieces, list)
-    kinds = with_decoder(file, kinds)
-    chapters = [_chapter(file, i, values, kinds) for i, values in enumerate(listed)]
+    template = with_decoder(file, template)
+    chapters = [_chapter(file, i, values, template) for i, values in enumerate(listed)]
     begins = [chapter.begin for chapter in chapters]
-    damaged_if(begins[0] != 0 or (np.diff(begins) <= 0).any() or begins[-1] >= kinds.clip.frame_count, "its chapters are not in order")
+    damaged_if(begins[0] != 0 or (np.diff(begins) <= 0).any() or begins[-1] >= template.clip.frame_count, "its chapters are not in order")
     state = status_of(str(path))
     found = [_piece(path, state, file, k, values, chapters) for k, values in enumerate(pieces)]
-    return Chapters(kinds.clip, chapters, found, lambda: status_of(str(path)), str(path))
+    return Chapters(template.clip, chapters, found, lambda: status_of(str(path)), str(path))
 
 
-def _chapter(file: TensorFile, i: int, values: object, kinds: GaussianModel) -> Chapter:
+def _chapter(file: TensorFile, i: int, values: object, template: GaussianModel) -> Chapter:
     damaged_if(not isinstance(values, dict), "its header does not say what a chapter is")
     assert isinstance(values, dict)
     begin, time = whole_number(values.get("begin"), "the first frame of a chapter"), values.get("time", [0.0, 1.0])
     good = isinstance(time, list) and len(time) == 2 and all(isinstance(v, (int, float)) and finite(v) for v in time)
     damaged_if(not good or not 0 <= time[0] <= 1 or not 1e-9 <= time[1] <= 1, "its header does not say when a chapter is")
-    own = _changed(kinds, values.get("model", {}))
+    own = _changed(template, values.get("model", {}))
     if isinstance(values.get("model"), dict) and "appearance" in values["model"]:
         own = with_decoder(file.below(CHAPTER.format(i)), own)
     return Chapter(begin, own, (float(time[0]), float(time[1])))
@@ -62,9 +62,9 @@ def _piece(path: Path, state: object, file: TensorFile, k: int, values: object, 
     assert isinstance(values, dict)
     first, count, size = (whole_number(values.get(key), f"the {key} of a piece") for key in ("first", "count", "gaussians"))
     damaged_if(not (count and first + count <= len(chapters)), "a piece of it belongs to chapters that it has not")
-    kinds = chapters[first].kinds
-    own = _changed(kinds, values.get("model", {}))
-    own = replace(own, appearance=kinds.appearance) if own is not kinds else own
+    template = chapters[first].template
+    own = _changed(template, values.get("model", {}))
+    own = replace(own, appearance=template.appearance) if own is not template else own
 
     def read() -> GaussianModel:
         with reading(path), np.errstate(all="ignore"), open_file(path) as stream:
@@ -77,15 +77,15 @@ def _piece(path: Path, state: object, file: TensorFile, k: int, values: object, 
     return Piece(first, count, size, read)
 
 
-def _changed(kinds: GaussianModel, values: Any) -> GaussianModel:
-    """The kinds with those that a part of the header changes; the same object where it changes none."""
-    return without_gaussians({name: getattr(kinds, name) for name in KINDS} | understand(values)) if values else kinds
+def _changed(template: GaussianModel, values: Any) -> GaussianModel:
+    """The template with the kinds that a part of the header changes; the same object where it changes none."""
+    return without_gaussians({name: getattr(template, name) for name in KINDS} | understand(values)) if values else template
 
 
 def write(source: Chapters, path: Path, loss: Loss | None, fit: Callable[[GaussianModel], GaussianModel],
           progress: Callable[[float], None]) -> None:
     """Write a clip, one piece after another; fit(model) is what can be written of a piece."""
-    first = source.chapters[0].kinds
+    first = source.chapters[0].template
     whole = replace(first, clip=source.clip, surroundings=source.surroundings, provenance=source.provenance)
     common = describe(whole)
     listed, pieces = [], []
@@ -94,12 +94,12 @@ def write(source: Chapters, path: Path, loss: Loss | None, fit: Callable[[Gaussi
         for name, array in decoder_of(whole).items():
             add(name, array)
         for i, chapter in enumerate(source.chapters):
-            if chapter.kinds not in described:
-                described[chapter.kinds] = describe(chapter.kinds)
-            values = _differing(described[chapter.kinds], common)
-            if not same_look(chapter.kinds.appearance, whole.appearance):
-                values["appearance"] = described[chapter.kinds]["appearance"]
-                for name, array in decoder_of(chapter.kinds).items():
+            if chapter.template not in described:
+                described[chapter.template] = describe(chapter.template)
+            values = _differing(described[chapter.template], common)
+            if not same_appearance(chapter.template.appearance, whole.appearance):
+                values["appearance"] = described[chapter.template]["appearance"]
+                for name, array in decoder_of(chapter.template).items():
                     add(CHAPTER.format(i) + name, array)
             time = {} if chapter.time == (0.0, 1.0) else {"time": list(chapter.time)}
             listed.append({"begin": chapter.begin, **time, **_model(values)})
@@ -109,8 +109,8 @@ def write(source: Chapters, path: Path, loss: Loss | None, fit: Callable[[Gaussi
             tensors, entries = arrays_of(model, own, partial(_share, progress, k, len(source.pieces)))
             for name, array in tensors.items():
                 add(PIECE.format(k) + name, array)
-            kinds = source.chapters[piece.first].kinds
-            values = {key: value for key, value in _differing(describe(model), described[kinds]).items()
+            template = source.chapters[piece.first].template
+            values = {key: value for key, value in _differing(describe(model), described[template]).items()
                       if key in ("basis", "rotation_basis", "temporal")}
             size = sum(entries["compressed"]["count"]) if loss else len(model)
             pieces.append({"first": piece.first, "count": piece.count, "gaussians": size, **entries, **_model(values)})

@@ -51,18 +51,18 @@ def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]
     return tensors, {"count": counts, "steps": steps, "blocks": listed}, bits
 
 
-def unpacked(file: TensorFile, about: dict, kinds: GaussianModel, segments: range | None = None) -> GaussianModel:
-    """The model, or that of some segments, of an open file; about: the header's entry, kinds: a model of its kinds.
+def unpacked(file: TensorFile, about: dict, template: GaussianModel, segments: range | None = None) -> GaussianModel:
+    """The model, or that of some segments, of an open file; about: the header's entry, template: a model of its kinds.
 
     Segments are unpacked side by side.  Raises FastGSError for a damaged file.
     """
     parts, total = [], 0
     for data, count, steps, blocks in listed_segments(file, about, segments):
-        parts.append((data, count, _steps(steps, kinds), blocks, total))
+        parts.append((data, count, _steps(steps, template), blocks, total))
         total += count
-    arrays: dict[str, Any] = {name: np.empty(shape, np.float32) for name, shape in kinds.shapes(total).items()}
-    run(partial(_segment, kinds, arrays), parts)
-    return replace(kinds, **arrays)
+    arrays: dict[str, Any] = {name: np.empty(shape, np.float32) for name, shape in template.shapes(total).items()}
+    run(partial(_segment, template, arrays), parts)
+    return replace(template, **arrays)
 
 
 def listed_segments(file: TensorFile, about: dict, segments: range | None = None) -> Iterator[tuple[np.ndarray, int, object, object]]:
@@ -85,10 +85,10 @@ def listed_segments(file: TensorFile, about: dict, segments: range | None = None
         yield data, count, steps[i], blocks[i]
 
 
-def _segment(kinds: GaussianModel, arrays: dict[str, np.ndarray], data: np.ndarray, count: int, steps: Steps, blocks: object,
+def _segment(template: GaussianModel, arrays: dict[str, np.ndarray], data: np.ndarray, count: int, steps: Steps, blocks: object,
              first: int) -> None:
     """Unpack a segment into the model's arrays, from row `first` on."""
-    shapes = columns_of(kinds)
+    shapes = columns_of(template)
     if not isinstance(blocks, list) or len(blocks) != sum(int(np.prod(shape, dtype=int)) for shape in shapes.values()):
         raise FastGSError("a segment of it lists other columns than its model has; copy the file again.")
     order, codes, at, listed = columns.Order(), {}, 0, iter(blocks)
@@ -106,26 +106,26 @@ def _segment(kinds: GaussianModel, arrays: dict[str, np.ndarray], data: np.ndarr
         codes[name] = np.moveaxis(flat.reshape((*shape, count)), -1, 0)
         order.columns |= contexts(name, codes, steps)
     with np.errstate(all="ignore"):
-        for name, array in restored(codes, steps, kinds).items():
+        for name, array in restored(codes, steps, template).items():
             arrays[name][first:first + count] = array
 
 
-def columns_of(kinds: GaussianModel) -> dict[str, tuple[int, ...]]:
+def columns_of(template: GaussianModel) -> dict[str, tuple[int, ...]]:
     """The columns of a segment, in the order in which they are packed, and the shape of each Gaussian's row."""
-    four = kinds.rotation_basis.terms and not kinds.rotation_basis.centred
+    four = template.rotation_basis.terms and not template.rotation_basis.centred
     shapes: dict[str, tuple[int, ...]] = {
-        "shape": (), "tint": (), "life": (), "scale": (3,), "opacity": (), "features": (kinds.appearance.width,), "mu_tau": (),
-        "motion": (kinds.basis.terms, 3), "position": (3,), "rotation_motion": (kinds.rotation_basis.terms, 4),
+        "shape": (), "tint": (), "life": (), "scale": (3,), "opacity": (), "features": (template.appearance.width,), "mu_tau": (),
+        "motion": (template.basis.terms, 3), "position": (3,), "rotation_motion": (template.rotation_basis.terms, 4),
         "rotation": (4 if four else 3,)}
-    for k, logarithm in enumerate(kinds.temporal_kind.logarithms):
+    for k, logarithm in enumerate(template.temporal_kind.logarithms):
         shapes |= {f"temporal.{k}": ()} if logarithm else {f"temporal.{k}.high": (), f"temporal.{k}.low": ()}
     return shapes
 
 
-def packed_segment(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> tuple[bytes, list[list]]:
+def packed_segment(codes: dict[str, np.ndarray], steps: Steps, template: GaussianModel) -> tuple[bytes, list[list]]:
     """The packed columns of a segment, and what its header says of them."""
     order, data, blocks = columns.Order(), b"", []
-    for name in columns_of(kinds):
+    for name in columns_of(template):
         order.follow(None)
         for k, column in enumerate(_flat(codes[name]).T):
             part, block = columns.packed(f"{name}/{k}", column, order)
@@ -148,17 +148,17 @@ def _flat(codes: np.ndarray) -> np.ndarray:
     return codes.reshape(len(codes), int(np.prod(codes.shape[1:], dtype=int)))
 
 
-def _steps(stated: object, kinds: GaussianModel) -> Steps:
+def _steps(stated: object, template: GaussianModel) -> Steps:
     """The steps of a segment; raises FastGSError unless all are numbers of the right shapes within reason."""
     values: Any = stated if isinstance(stated, dict) else {}
     tables = {}
-    for name, shape in (("turn", (SPREADS,)), ("motion", (LIVES, kinds.basis.terms)), ("swing", (LIVES, kinds.rotation_basis.terms))):
+    for name, shape in (("turn", (SPREADS,)), ("motion", (LIVES, template.basis.terms)), ("swing", (LIVES, template.rotation_basis.terms))):
         table = np.array(values.get(name), dtype=object)
         if table.shape != shape or not all(type(v) is int and abs(v) <= LARGEST for v in table.ravel()):
             raise FastGSError(f"its header does not say how finely a segment is kept ({name}); copy the file again.")
         tables[name] = table.astype(int)
     base, tint, least = values.get("base"), values.get("tint"), values.get("least")
-    width = kinds.appearance.width
+    width = template.appearance.width
     good = isinstance(base, dict) and isinstance(tint, list) and len(tint) == width and type(least) is int and abs(least) <= 200
     if not good or not all(_is_step(v) for v in (*(base.get(name) for name in ATTRIBUTES), *tint)):
         raise FastGSError("its header does not say how finely the numbers of a segment are kept; copy the file again.")

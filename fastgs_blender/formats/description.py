@@ -132,10 +132,13 @@ def _basis(values: Any) -> Basis:
     return basis_from_dict({k: _typed(v, examples[k], f"the basis {name}'s {k}") if k in examples else v for k, v in values.items()})
 
 
-def _described(look: Appearance) -> dict:
-    usual = {key: getattr(type(look), key) for key in look.optional}
-    values = {"name": look.name} | {key: getattr(look, key) for key in look.recorded if getattr(look, key) != usual.get(key)}
-    return values | {"look": _described(look.look), "basis": basis_to_dict(look.basis)} if isinstance(look, Changing) else values
+def _described(appearance: Appearance) -> dict:
+    usual = {key: getattr(type(appearance), key) for key in appearance.optional}
+    recorded = {key: getattr(appearance, key) for key in appearance.recorded}
+    values = {"name": appearance.name} | {key: value for key, value in recorded.items() if value != usual.get(key)}
+    if isinstance(appearance, Changing):
+        values |= {"look": _described(appearance.look), "basis": basis_to_dict(appearance.basis)}
+    return values
 
 
 def _appearance(values: Any) -> Appearance:
@@ -145,10 +148,10 @@ def _appearance(values: Any) -> Appearance:
     kind = APPEARANCES[name]
     if kind is Changing:
         given = values.get("look")
-        look = _appearance(given) if isinstance(given, dict) and given.get("name") != Changing.name else None
-        if not isinstance(look, (RGB, SH)):
+        appearance = _appearance(given) if isinstance(given, dict) and given.get("name") != Changing.name else None
+        if not isinstance(appearance, (RGB, SH)):
             raise FastGSError("colours that change in time are of nothing known; the file is damaged.")
-        return Changing(look, _basis(values.get("basis")))
+        return Changing(appearance, _basis(values.get("basis")))
     return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded
                    if key in values or key not in kind.optional})
 

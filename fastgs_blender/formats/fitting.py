@@ -158,15 +158,16 @@ def plain_colour(model: GaussianModel, keep_features: bool) -> tuple[GaussianMod
         plain = model.appearance.look
         model, lost = plain_colour(replace(model, appearance=plain, features=model.features[:, :plain.width]), keep_features)
         return model, ["its colours, which change in time, stay at their constant terms", *lost]
-    look, f = model.appearance, model.features.astype(np.float64)
-    if isinstance(look, SH):
-        lost = [f"its view-dependent colour (SH degree {look.degree}) becomes its mean"] if look.degree else []
+    appearance, f = model.appearance, model.features.astype(np.float64)
+    if isinstance(appearance, SH):
+        lost = [f"its view-dependent colour (SH degree {appearance.degree}) becomes its mean"] if appearance.degree else []
         return replace(model, features=np.maximum(0, 0.5 + SH_C0 * f[:, :3]), appearance=RGB()), lost
-    if isinstance(look, Features) and not keep_features:
-        hidden = np.maximum(f[:, 3:6] @ look.w1[:, :3].T, 0)
-        rgb = f[:, :3] + hidden @ look.w2.T
-        rgb = sigmoid(rgb) if look.activation == "sigmoid" else np.clip(rgb, 0, 1) if look.activation == "clamp" else rgb
+    if isinstance(appearance, Features) and not keep_features:
+        hidden = np.maximum(f[:, 3:6] @ appearance.w1[:, :3].T, 0)
+        rgb = f[:, :3] + hidden @ appearance.w2.T
+        rgb = sigmoid(rgb) if appearance.activation == "sigmoid" else np.clip(rgb, 0, 1) if appearance.activation == "clamp" else rgb
         return replace(model, features=rgb, appearance=RGB()), ["its features and decoder become one colour a Gaussian"]
-    if isinstance(look, (RGB, Features)):
+    if isinstance(appearance, (RGB, Features)):
         return model, []
-    return replace(model, features=look.plain_colours(f), appearance=RGB()), [f"its appearance ({look.name}) becomes plain colours"]
+    lost = [f"its appearance ({appearance.name}) becomes plain colours"]
+    return replace(model, features=appearance.plain_colours(f), appearance=RGB()), lost

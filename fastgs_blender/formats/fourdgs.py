@@ -155,14 +155,14 @@ def _model(scene: Scene) -> GaussianModel:
                          (begin, end))
         green, red, blue = joined[wire.COLOUR].T
         rgb = np.clip(np.stack([red + green, green, blue + green], 1) * step["rgb"], 0, 1)
-        features, look = (_harmonics(scene, rgb, n), SH(scene.degree)) if scene.degree else (rgb, RGB())
+        features, appearance = (_harmonics(scene, rgb, n), SH(scene.degree)) if scene.degree else (rgb, RGB())
         omitted = joined[wire.OMITTED][:, 0]
         damaged_if(n and (omitted.min() < 0 or omitted.max() > 3), "a rotation in it leaves out a component that does not exist")
         rotation = with_largest(omitted, np.clip(joined[wire.ROTATION] * step["rot"], -1, 1))[:, [3, 0, 1, 2]]
         moved = tracks.follow(lives, rotation, _objects(scene), scene.tracks, timeline)
         opacity = logit(joined[wire.OPACITY][:, 0] * step["alpha"])
-        return GaussianModel(**moved, scale=joined[wire.SCALE] * step["scale_log"], opacity=opacity, features=features, appearance=look,
-                             clip=clip, axes=scene.axes)
+        return GaussianModel(**moved, scale=joined[wire.SCALE] * step["scale_log"], opacity=opacity, features=features,
+                             appearance=appearance, clip=clip, axes=scene.axes)
 
 
 def _objects(scene: Scene) -> np.ndarray:

@@ -47,15 +47,15 @@ class Native(Format):
 
     def load(self, path: Path) -> GaussianModel:
         with open_tensors(path) as file:
-            about, version, kinds = _header(file)
+            about, version, template = _header(file)
             if version == chaptered.VERSION:
-                return chaptered.opened(path, file, about, kinds).joined()
-            return read_model(file, about, with_decoder(file, kinds))
+                return chaptered.opened(path, file, about, template).joined()
+            return read_model(file, about, with_decoder(file, template))
 
     def open(self, path: Path, load: Loader) -> Source:
         with open_tensors(path) as file:
-            about, version, kinds = _header(file)
-            return load(path) if version != chaptered.VERSION else chaptered.opened(path, file, about, kinds)
+            about, version, template = _header(file)
+            return load(path) if version != chaptered.VERSION else chaptered.opened(path, file, about, template)
 
     def fit(self, model: GaussianModel) -> tuple[GaussianModel, list[str]]:
         if self.loss is None:

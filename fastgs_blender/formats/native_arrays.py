@@ -39,33 +39,33 @@ def arrays_of(model: GaussianModel, loss: Loss | None, progress: Callable[[float
 
 def decoder_of(model: GaussianModel) -> dict[str, np.ndarray]:
     """The weights of the model's decoder by name; none without one."""
-    look = model.appearance
-    return {f"decoder.{key}": getattr(look, key) for key in DECODER} if isinstance(look, Features) else {}
+    appearance = model.appearance
+    return {f"decoder.{key}": getattr(appearance, key) for key in DECODER} if isinstance(appearance, Features) else {}
 
 
-def read_model(file: TensorFile, about: dict, kinds: GaussianModel) -> GaussianModel:
-    """The model in a file; about: the header's entries, kinds: a model without Gaussians that has its kinds and its decoder."""
+def read_model(file: TensorFile, about: dict, template: GaussianModel) -> GaussianModel:
+    """The model in a file; about: the header's entries, template: a model without Gaussians that has its kinds and its decoder."""
     if COMPRESSED in about:
-        model = compressed.unpacked(file, about[COMPRESSED], kinds)
+        model = compressed.unpacked(file, about[COMPRESSED], template)
         return replace(model, parts=_parts(file, about, len(model)))
     position = file.entries.get("position")
-    shapes = kinds.shapes(position.shape[0] if position and position.shape else 1)
+    shapes = template.shapes(position.shape[0] if position and position.shape else 1)
     stored = [name for name, shape in shapes.items() if 0 not in shape[1:]]
     for name in stored:
         _check(file, name, shapes[name])
     arrays: Any = {name: file.read(name) if name in stored else np.zeros(shape, np.float32) for name, shape in shapes.items()}
-    return replace(kinds, **arrays, parts=_parts(file, about, len(arrays["position"])))
+    return replace(template, **arrays, parts=_parts(file, about, len(arrays["position"])))
 
 
-def with_decoder(file: TensorFile, kinds: GaussianModel) -> GaussianModel:
-    """The kinds with the weights of the decoder that the file has."""
-    look = kinds.appearance
-    if not isinstance(look, Features):
-        return kinds
+def with_decoder(file: TensorFile, template: GaussianModel) -> GaussianModel:
+    """The template with the weights of the decoder that the file has."""
+    appearance = template.appearance
+    if not isinstance(appearance, Features):
+        return template
     for key in DECODER:
-        _check(file, f"decoder.{key}", getattr(look, key).shape)
+        _check(file, f"decoder.{key}", getattr(appearance, key).shape)
     weights: Any = {key: file.read(f"decoder.{key}") for key in DECODER}
-    return replace(kinds, appearance=replace(look, **weights))
+    return replace(template, appearance=replace(appearance, **weights))
 
 
 def _parts(file: TensorFile, about: dict, count: int) -> Parts:

@@ -281,8 +281,8 @@ def _bits(values: np.ndarray, step: np.ndarray, chain: bool) -> float:
     return float(-(count * np.log2(count / len(codes))).sum())
 
 
-def restored(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -> dict[str, np.ndarray]:
-    """The arrays of a model, float32, of columns of whole numbers; kinds: a model of its kinds."""
+def restored(codes: dict[str, np.ndarray], steps: Steps, template: GaussianModel) -> dict[str, np.ndarray]:
+    """The arrays of a model, float32, of columns of whole numbers; template: a model of its kinds."""
     scale = scales(codes, steps)
     sizes = step_sizes(codes, steps, scale)
 
@@ -303,9 +303,9 @@ def restored(codes: dict[str, np.ndarray], steps: Steps, kinds: GaussianModel) -
         "opacity": np.log(opacity) - np.log1p(-opacity),
         "features": attribute("features", sizes["features"]),
         "mu_tau": attribute("mu_tau", sizes["mu_tau"]),
-        "temporal": np.empty((len(scale), kinds.temporal_kind.width), np.float32),
+        "temporal": np.empty((len(scale), template.temporal_kind.width), np.float32),
     }
-    for k, logarithm in enumerate(kinds.temporal_kind.logarithms):
+    for k, logarithm in enumerate(template.temporal_kind.logarithms):
         if logarithm:
             arrays["temporal"][:, k] = attribute(f"temporal.{k}", steps.of("temporal", codes["shape"]))
         else:

@@ -73,7 +73,7 @@ class Realtime4DGS(Format):
             reach = np.sqrt(-2 * math.log(cutoff) * variance)
             arrays |= straight(arrays["position"], velocity, time, 0.5 * np.log(variance), Timeline(begin / unit, duration),
                                (time - reach, time + reach))
-        look: SH | Changing = SH(degree)
+        appearance: SH | Changing = SH(degree)
         if degree_t:
             features, angle = arrays["features"], 2 * np.pi * time / duration
             parts = [features[:, :48]]
@@ -81,14 +81,14 @@ class Realtime4DGS(Format):
                 own = features[:, 48 * k:48 * k + 48]
                 parts += [np.sin(k * angle)[:, None] * own, np.cos(k * angle)[:, None] * own]
             arrays["features"] = np.concatenate(parts, 1)
-            look = Changing(SH(3), Fourier(degree_t, 1.0, begin / (end - begin)))
+            appearance = Changing(SH(3), Fourier(degree_t, 1.0, begin / (end - begin)))
         if len(values) == HYBRID and isinstance(values[19], torch_zip.Tensor) and 0 not in values[19].shape:
             rest = _still(values[19:25], (degree + 1) ** 2)
             n = len(rest["opacity"])
             rest |= straight(rest["position"], np.zeros((n, 3)), np.zeros(n), np.full(n, np.inf), window=(-np.inf, np.inf))
-            rest["features"] = np.pad(rest["features"], ((0, 0), (0, look.width - rest["features"].shape[1])))
+            rest["features"] = np.pad(rest["features"], ((0, 0), (0, appearance.width - rest["features"].shape[1])))
             arrays = {key: np.concatenate([value, rest[key]]) if isinstance(value, np.ndarray) else value for key, value in arrays.items()}
-        return GaussianModel(**arrays, appearance=look, clip=Clip(frames, frames / (end - begin)))
+        return GaussianModel(**arrays, appearance=appearance, clip=Clip(frames, frames / (end - begin)))
 
 
 def _degree(value: Any, most: int, what: str) -> int:

@@ -100,10 +100,12 @@ def in_parts(ready: Prepared, level: float, segment: int) -> list[tuple[dict[str
     return [quantised(ready.part(slice(at, at + segment)), level) for at in range(0, len(ready.model), segment)]
 
 
-def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], kinds: GaussianModel) -> dict[str, Any]:
+def as_read(parts: list[tuple[dict[str, np.ndarray], Steps]], template: GaussianModel) -> dict[str, Any]:
     """The arrays that a reader of these parts has."""
-    arrays = [restored(codes, steps, kinds) for codes, steps in parts]
-    return {name: np.concatenate([each[name] for each in arrays]).astype(np.float32) for name in kinds.arrays} if arrays else kinds.arrays
+    if not parts:
+        return template.arrays
+    arrays = [restored(codes, steps, template) for codes, steps in parts]
+    return {name: np.concatenate([each[name] for each in arrays]).astype(np.float32) for name in template.arrays}
 
 
 def _units(parts: list[tuple[dict[str, np.ndarray], Steps]], ready: Prepared, segment: int) -> dict[str, np.ndarray]:

@@ -232,8 +232,8 @@ def removal(model: GaussianModel, found: Sensitivity) -> np.ndarray:
 
 def parameters_of(model: GaussianModel, backend: Any) -> dict[str, Any]:
     """The model's arrays, its decoder's among them, as a TrainingBackend takes them."""
-    look = model.appearance
-    decoder = {"w1": look.w1, "w2": look.w2} if isinstance(look, Features) else {}
+    appearance = model.appearance
+    decoder = {"w1": appearance.w1, "w2": appearance.w2} if isinstance(appearance, Features) else {}
     return {name: backend.array(array) for name, array in (model.arrays | decoder).items()}
 
 

@@ -109,10 +109,10 @@ def _model(records: np.ndarray, time_model: int, cutoff: float, higher: list[np.
     rotation[~rotation.any(1)] = (1, 0, 0, 0)
     if higher:
         features = np.concatenate([(rgba[:, None, :3] - 0.5) / SH_C0, *higher], 1).reshape(len(records), -1)
-        look: RGB | SH = SH(len(higher))
+        appearance: RGB | SH = SH(len(higher))
     else:
-        features, look = rgba[:, :3], RGB()
-    return GaussianModel(**lives, rotation=rotation, scale=scale, opacity=logit(rgba[:, 3]), features=features, appearance=look,
+        features, appearance = rgba[:, :3], RGB()
+    return GaussianModel(**lives, rotation=rotation, scale=scale, opacity=logit(rgba[:, 3]), features=features, appearance=appearance,
                          clip=clip_of(min(frames, 10_000_000)))
 
 

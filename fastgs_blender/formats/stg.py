@@ -61,8 +61,8 @@ class SpacetimeGaussians(Format):
         appearance: Appearance = RGB()
         if full:
             ours = isinstance(recorded, Features)
-            look = (recorded.activation, recorded.decode) if ours else (_activation(path, settings), "premultiplied")
-            appearance = _read_decoder(path.with_suffix(".pt"), *look)
+            ending = (recorded.activation, recorded.decode) if ours else (_activation(path, settings), "premultiplied")
+            appearance = _read_decoder(path.with_suffix(".pt"), *ending)
         arrays = ply.read_vertices(path, header, {
             "position": POSITION, "rotation": ROTATION, "scale": SCALE, "opacity": "opacity", "features": FULL if full else LITE,
             "motion": powers, "constant": constant, "rotation_motion": OMEGA, "mu_tau": "trbf_center", "temporal": ("trbf_scale",)})
@@ -100,10 +100,10 @@ class SpacetimeGaussians(Format):
         return [decoder, path]
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        look = model.appearance
-        full = isinstance(look, Features)
-        if isinstance(look, Features):
-            weights = {"w1": look.w1, "w2": look.w2}
+        appearance = model.appearance
+        full = isinstance(appearance, Features)
+        if isinstance(appearance, Features):
+            weights = {"w1": appearance.w1, "w2": appearance.w2}
             torch_zip.write(targets[0], {name: weights[key].reshape(shape) for key, (name, shape) in DECODER.items()})
         n = len(model)
         if isinstance(model.basis, Fourier):

@@ -16,5 +16,5 @@ def model_of(template: GaussianModel, parameters: dict[str, np.ndarray]) -> Gaus
     """The template with the parameters instead of its own arrays: float32, not copied; what else `parameters` holds is ignored."""
     fields: dict[str, Any] = {name: parameters[name] for name in template.arrays}
     decoder: dict[str, Any] = {name: parameters[name] for name in DECODER if name in parameters}
-    look = template.appearance
-    return replace(template, appearance=replace(look, **decoder) if isinstance(look, Features) else look, **fields)
+    appearance = template.appearance
+    return replace(template, appearance=replace(appearance, **decoder) if isinstance(appearance, Features) else appearance, **fields)

@@ -47,13 +47,13 @@ class Piece:
 class Chapter:
     """A run of frames.
 
-    begin  its first frame
-    kinds  a model without Gaussians that has the chapter's kinds
-    time   (begin, length) in the clip's t of the time of its models
+    begin     its first frame
+    template  a model without Gaussians that has the chapter's kinds
+    time      (begin, length) in the clip's t of the time of its models
     """
 
     begin: int
-    kinds: GaussianModel
+    template: GaussianModel
     time: tuple[float, float] = (0.0, 1.0)
 
 
@@ -98,7 +98,7 @@ class Chapters(Sequence):
     def one_time(self) -> bool:
         """Whether all chapters have the kinds of the first and the clip's time, so that joined() is possible."""
         first = self.chapters[0]
-        return all(chapter.kinds is first.kinds and chapter.time == (0.0, 1.0) for chapter in self.chapters)
+        return all(chapter.template is first.template and chapter.time == (0.0, 1.0) for chapter in self.chapters)
 
     def joined(self) -> GaussianModel:
         """One model of all chapters; raises FastGSError where these have kinds or a time of their own."""
@@ -109,8 +109,8 @@ class Chapters(Sequence):
 
     def with_surroundings(self, around: Surroundings) -> Chapters:
         """The same clip with other surroundings."""
-        kinds = {chapter.kinds: replace(chapter.kinds, surroundings=around) for chapter in self.chapters}
-        chapters = [replace(chapter, kinds=kinds[chapter.kinds]) for chapter in self.chapters]
+        templates = {chapter.template: replace(chapter.template, surroundings=around) for chapter in self.chapters}
+        chapters = [replace(chapter, template=templates[chapter.template]) for chapter in self.chapters]
         return Chapters(self.clip, chapters, self.pieces, lambda: self._state(0), self.about)
 
     def _made(self, i: int) -> GaussianModel:
@@ -126,11 +126,11 @@ class Chapters(Sequence):
         return piece.read() if piece.count == 1 else cache.get((self._owner, "piece", k), self._state(i), piece.read)
 
     def _together(self, i: int, models: list[GaussianModel]) -> GaussianModel:
-        kinds = self.chapters[i].kinds
+        template = self.chapters[i].template
         models = [model for model in models if len(model)]
         if not models:
-            return kinds
-        return replace(concatenate(models), clip=kinds.clip, surroundings=kinds.surroundings, provenance=kinds.provenance)
+            return template
+        return replace(concatenate(models), clip=template.clip, surroundings=template.surroundings, provenance=template.provenance)
 
     def _read_ahead(self, i: int, t: float) -> None:
         """Let the chapter be read that comes next if playback goes on as it does."""

@@ -12,10 +12,10 @@ import numpy as np
 
 from ..util.arguments import real
 from ..util.errors import FastGSError
-from .appearance import Changing, Features
+from .appearance import Changing, Features, momentary
 from .chapters import Chapter, Chapters, Piece
 from .gaussians import Clip, GaussianModel
-from .joining import same_look
+from .joining import same_appearance
 from .motion import Static
 from .slicing import sigmoid
 from .temporal import Always
@@ -59,7 +59,7 @@ def chapters(*models: GaussianModel | Chapters, frames: float = FRAMES) -> Chapt
         for i, chapter in enumerate(source.chapters):
             at, long = chapter.time
             time = (begin + at * length) / clip.frame_count, long * length / clip.frame_count
-            found.append(Chapter(begin + max(int(chapter.begin * share), i), chapter.kinds, time))
+            found.append(Chapter(begin + max(int(chapter.begin * share), i), chapter.template, time))
     pieces = []
     for piece in _shared(sources):
         last = piece.first + piece.count - 1
@@ -110,7 +110,7 @@ def same_rows(a: GaussianModel, b: GaussianModel) -> np.ndarray:
     """For each Gaussian of b [N] the number of one of a that looks the same at all times, each once; -1 where there is none."""
     none = np.full(len(b), -1)
     constants = ("raster", "axes", "colour_space")
-    if not same_look(a.appearance, b.appearance) or any(getattr(a, name) != getattr(b, name) for name in constants) or not len(a):
+    if not same_appearance(a.appearance, b.appearance) or any(getattr(a, name) != getattr(b, name) for name in constants) or not len(a):
         return none
     if a.parts.names != b.parts.names or not all(isinstance(m.basis, Static) and isinstance(m.rotation_basis, Static) for m in (a, b)):
         return none
@@ -138,9 +138,9 @@ def _keys(rows: np.ndarray) -> np.ndarray:
 
 def _lasts(model: GaussianModel) -> np.ndarray:
     """Which Gaussians [N] are the same at all times of the model's clip; they do not move."""
-    kind, look = model.temporal_kind, model.appearance
+    kind, appearance = model.temporal_kind, model.appearance
     good = np.min([kind.factor(t, model.mu_tau, model.temporal) for t in (0.0, 1.0)], 0) > 1 - LASTING
-    first = 6 if isinstance(look, Features) else look.look.width if isinstance(look, Changing) else model.features.shape[1]
+    first = 6 if isinstance(appearance, Features) else momentary(appearance).width
     return good & ~model.features[:, first:].any(1)
 
 
@@ -155,10 +155,10 @@ def cut(model: GaussianModel, frames: float = FRAMES, about: str = "the clip") -
     count = len(begins)
     first, last = _lives(model, begins)
     still = ~(_moves(model.motion) | _moves(model.rotation_motion))
-    kinds = model.take(slice(0, 0))
+    template = model.take(slice(0, 0))
     spans = [_span(model.clip, float(begin), length) for begin in begins]
-    cuts = [_within(kinds, span) for span in spans]
-    own = any(short is not kinds for short in cuts)
+    cuts = [_within(template, span) for span in spans]
+    own = any(short is not template for short in cuts)
     if isinstance(model.appearance, Changing) and own:
         still[:] = False
     first_of, count_of = _homes(first, last, count)
@@ -223,26 +223,26 @@ def _span(clip: Clip, begin: float, length: int) -> tuple[float, float]:
     return clip.t_of_frame(begin - PAD), clip.t_of_frame(begin + length + PAD)
 
 
-def _within(kinds: GaussianModel, span: tuple[float, float]) -> GaussianModel:
-    """The kinds that show a span of times; the same object where none has a long table."""
-    moving, turning = (basis.within(*span)[0] for basis in (kinds.basis, kinds.rotation_basis))
-    look = kinds.appearance
-    if isinstance(look, Changing):
-        look = replace(look, basis=look.basis.within(*span)[0])
-    if (moving, turning, look) == (kinds.basis, kinds.rotation_basis, kinds.appearance):
-        return kinds
-    return replace(kinds, basis=moving, rotation_basis=turning, appearance=look, motion=np.zeros((0, moving.terms, 3)),
-                   rotation_motion=np.zeros((0, turning.terms, 4)), features=np.zeros((0, look.width)))
+def _within(template: GaussianModel, span: tuple[float, float]) -> GaussianModel:
+    """The template of what a span of times shows; the same object where none has a long table."""
+    moving, turning = (basis.within(*span)[0] for basis in (template.basis, template.rotation_basis))
+    appearance = template.appearance
+    if isinstance(appearance, Changing):
+        appearance = replace(appearance, basis=appearance.basis.within(*span)[0])
+    if (moving, turning, appearance) == (template.basis, template.rotation_basis, template.appearance):
+        return template
+    return replace(template, basis=moving, rotation_basis=turning, appearance=appearance, motion=np.zeros((0, moving.terms, 3)),
+                   rotation_motion=np.zeros((0, turning.terms, 4)), features=np.zeros((0, appearance.width)))
 
 
-def _shortened(model: GaussianModel, rows: np.ndarray, kinds: GaussianModel, span: tuple[float, float]) -> GaussianModel:
+def _shortened(model: GaussianModel, rows: np.ndarray, template: GaussianModel, span: tuple[float, float]) -> GaussianModel:
     """Some of the Gaussians with the part of each long table that _within() left."""
-    part, look = model.take(rows), model.appearance
+    part, appearance = model.take(rows), model.appearance
     features = part.features
-    if isinstance(look, Changing):
-        width = look.look.width
-        table = features[:, width:].reshape(len(rows), look.basis.terms, width)[:, look.basis.within(*span)[1]]
+    if isinstance(appearance, Changing):
+        width = appearance.look.width
+        table = features[:, width:].reshape(len(rows), appearance.basis.terms, width)[:, appearance.basis.within(*span)[1]]
         features = np.concatenate([features[:, :width], table.reshape(len(rows), -1)], 1)
-    return replace(part, motion=part.motion[:, model.basis.within(*span)[1]], basis=kinds.basis, rotation_basis=kinds.rotation_basis,
+    return replace(part, motion=part.motion[:, model.basis.within(*span)[1]], basis=template.basis, rotation_basis=template.rotation_basis,
                    rotation_motion=part.rotation_motion[:, model.rotation_basis.within(*span)[1]], features=features,
-                   appearance=kinds.appearance)
+                   appearance=template.appearance)

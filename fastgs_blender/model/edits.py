@@ -144,15 +144,15 @@ def _kept(wanted: np.ndarray, before: np.ndarray) -> np.ndarray:
 
 def _recoloured(model: GaussianModel, features: np.ndarray, colour: np.ndarray) -> np.ndarray:
     """Features [N, F] of a moment, changed so that the finite rows of `colour` [N, 3] are the colours of their Gaussians."""
-    look = momentary(model.appearance)
+    appearance = momentary(model.appearance)
     rows = np.flatnonzero(np.isfinite(colour).all(1))
     out, wanted = features.copy(), colour[rows].astype(np.float64)
-    before = look.plain_colours(features[rows])
+    before = appearance.plain_colours(features[rows])
     same = np.isclose(wanted, before, rtol=1e-6, atol=1e-6)
     share = np.clip(np.divide(wanted, before, out=same.astype(np.float64), where=before > 0), 0, 1)
-    out[rows, :3] = look.features_of(wanted)[:, :3]
+    out[rows, :3] = appearance.features_of(wanted)[:, :3]
     rest = out[rows, 3:]
-    if isinstance(look, Features):
+    if isinstance(appearance, Features):
         out[rows, 3:] = rest * share.mean(1, keepdims=True)
     else:
         out[rows, 3:] = (rest.reshape(len(rows), -1, 3) * share[:, None]).reshape(rest.shape)

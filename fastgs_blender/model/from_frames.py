@@ -71,14 +71,14 @@ def one_model(sequence: Sequence, basis: str = "auto",
                 total += np.float32(weight) * value.astype(np.float32)
         progress(0.5 + 0.5 * (i + 1) / count)
     odds = np.clip(sums["opacity"][0], 1e-7, 1 - 1e-7)
-    look: Any = first.appearance
+    appearance: Any = first.appearance
     features = sums["features"].transpose(1, 0, 2).reshape(len(first), -1)
     clip = Clip(sequence.clip.frame_count, sequence.clip.fps, sequence.clip.start_frame)
     fitted = GaussianModel(
         position=sums["position"][0], motion=sums["position"][1:].transpose(1, 0, 2), basis=moving.basis,
         rotation=sums["rotation"][0], rotation_motion=sums["rotation"][1:].transpose(1, 0, 2), rotation_basis=turning.basis,
         scale=sums["scale"][0], opacity=np.log(odds / (1 - odds)), features=features,
-        appearance=look if isinstance(shading.basis, Static) else Changing(look, shading.basis),
+        appearance=appearance if isinstance(shading.basis, Static) else Changing(appearance, shading.basis),
         raster=first.raster, clip=clip, axes=first.axes, colour_space=first.colour_space, provenance=dict(sequence.provenance))
     warnings.warn(LossWarning(f"{sequence.about}: {_quality(seen, moving, turning, shading)}."), stacklevel=2)
     return fitted

@@ -40,9 +40,9 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
     if not models:
         raise FastGSError("there are no models to put together; give one at least.")
     first = models[0]
-    looks = [m.appearance for m in models]
-    if any(isinstance(look, SH) for look in looks) and all(isinstance(look, (RGB, SH)) for look in looks):
-        degree = max(look.degree for look in looks if isinstance(look, SH))
+    appearances = [m.appearance for m in models]
+    if any(isinstance(each, SH) for each in appearances) and all(isinstance(each, (RGB, SH)) for each in appearances):
+        degree = max(each.degree for each in appearances if isinstance(each, SH))
         models = [_with_harmonics(m, degree) for m in models]
     kinds: dict[str, Any] = {"appearance": models[0].appearance}
     for name, poor in (("basis", Static), ("rotation_basis", Static), ("temporal_kind", Always)):
@@ -51,7 +51,7 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
         differing = [name for name in ("axes", "colour_space", "raster") if getattr(m, name) != getattr(first, name)]
         differing += [name for name in ("basis", "rotation_basis", "temporal_kind")
                       if not isinstance(getattr(m, name), (Static, Always)) and getattr(m, name) != kinds[name]]
-        differing += [] if same_look(m.appearance, models[0].appearance) else ["appearance"]
+        differing += [] if same_appearance(m.appearance, models[0].appearance) else ["appearance"]
         if differing:
             raise FastGSError(f"the models cannot become one: their {differing[0].replace('_', ' ')} differs; render() shows them all.")
     widths = {"motion": kinds["basis"].terms, "rotation_motion": kinds["rotation_basis"].terms, "temporal": kinds["temporal_kind"].width}
@@ -71,8 +71,8 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
 
 def _with_harmonics(model: GaussianModel, degree: int) -> GaussianModel:
     features = (model.features.astype(np.float64) - 0.5) / SH_C0 if isinstance(model.appearance, RGB) else model.features
-    look = SH(degree)
-    return replace(model, features=np.pad(features, ((0, 0), (0, look.width - features.shape[1]))), appearance=look)
+    appearance = SH(degree)
+    return replace(model, features=np.pad(features, ((0, 0), (0, appearance.width - features.shape[1]))), appearance=appearance)
 
 
 @dataclass(frozen=True, eq=False)
@@ -111,23 +111,23 @@ def join(segments: list[Segment], clip: Clip) -> GaussianModel:
 
 
 def _same(first: GaussianModel, other: GaussianModel) -> None:
-    look, its = first.appearance, other.appearance
-    if type(look) is not type(its) or first.raster != other.raster or first.axes != other.axes or first.colour_space != other.colour_space:
+    constants = [(type(m.appearance), m.raster, m.axes, m.colour_space) for m in (first, other)]
+    if constants[0] != constants[1]:
         raise FastGSError("the segments cannot be joined: their appearance, rasteriser constants, axes or colour space differ.")
-    if isinstance(look, Changing):
+    if isinstance(first.appearance, Changing):
         raise FastGSError("the segments cannot be joined: their colours change in time.")
-    if not same_look(look, its):
+    if not same_appearance(first.appearance, other.appearance):
         raise FastGSError("the segments cannot be joined: they need one appearance in common, with the same decoder.")
     if not isinstance(other.temporal_kind, (Always, Radial)):
         raise FastGSError(f"the segments cannot be joined: their temporal opacity is {other.temporal_kind.name}, not radial.")
 
 
-def same_look(look: Appearance, other: Appearance) -> bool:
+def same_appearance(appearance: Appearance, other: Appearance) -> bool:
     """Whether two appearances are the same, weights included."""
-    if not (isinstance(look, Features) and isinstance(other, Features)):
-        return look == other
-    return np.array_equal(look.w1, other.w1) and np.array_equal(look.w2, other.w2) and (
-        look.activation, look.decode) == (other.activation, other.decode)
+    if not (isinstance(appearance, Features) and isinstance(other, Features)):
+        return appearance == other
+    return np.array_equal(appearance.w1, other.w1) and np.array_equal(appearance.w2, other.w2) and (
+        appearance.activation, appearance.decode) == (other.activation, other.decode)
 
 
 def _common(bases: list[Basis], segments: list[Segment]) -> Basis:

@@ -174,8 +174,8 @@ def _instances(model: Source | list, camera: Camera, t: ArrayLike) -> list[Viewe
     for instance in viewed:
         if not instance.in_range:
             warnings.warn(LossWarning(f"a model is not drawn: its placement before the camera has numbers beyond {LIMIT:g}."), stacklevel=3)
-        look = instance.model.appearance
-        if isinstance(look, Features) and max(np.abs(look.w1).max(), np.abs(look.w2).max()) > DECODER_LIMIT:
+        appearance = instance.model.appearance
+        if isinstance(appearance, Features) and max(np.abs(appearance.w1).max(), np.abs(appearance.w2).max()) > DECODER_LIMIT:
             text = f"a model's decoder has weights beyond {DECODER_LIMIT:g}: colours that float32 cannot hold are black."
             warnings.warn(LossWarning(text), stacklevel=3)
     return [instance for instance in viewed if instance.in_range]

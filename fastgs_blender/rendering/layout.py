@@ -34,10 +34,10 @@ def decoding(instance: ViewedInstance) -> Hashable:
 
     Instances with the same decoding are decoded together, as one model is: its separated parts, echoes, both ends of a fading loop.
     """
-    look = instance.model.appearance
-    if not isinstance(look, Features):
+    appearance = instance.model.appearance
+    if not isinstance(appearance, Features):
         return None
-    return (look.activation, look.decode, look.w1.tobytes(), look.w2.tobytes(), instance.camera_to_model.tobytes(),
+    return (appearance.activation, appearance.decode, appearance.w1.tobytes(), appearance.w2.tobytes(), instance.camera_to_model.tobytes(),
             instance.look[Look.GRADED:].tobytes())
 
 
@@ -60,9 +60,9 @@ class ChannelGroup:
     @property
     def decode(self) -> str:
         """How the decoder's colour is made: one of Features' ways, or "lifted" where premultiplied sums go over something else."""
-        look = self.instance and self.instance.model.appearance
-        assert isinstance(look, Features)
-        way = look.decode
+        appearance = self.instance and self.instance.model.appearance
+        assert isinstance(appearance, Features)
+        way = appearance.decode
         return way if way == "normalised" or self.opaque else "lifted"
 
 

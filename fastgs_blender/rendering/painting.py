@@ -19,23 +19,23 @@ def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray
     places  theirs [M, 3] in the model's space, if these are known
     """
     model, ray = instance.model, _rays(instance, index, places)
-    look, mu_tau = momentary(model.appearance), model.mu_tau[index].astype(np.float64)
+    appearance, mu_tau = momentary(model.appearance), model.mu_tau[index].astype(np.float64)
     features = features_at(model.appearance, model.features[index], instance.t, mu_tau)
-    if isinstance(look, Features):
-        return features, decode(_now(features, instance.t - mu_tau), instance.camera_to_model[:3, 3], ray, look)
-    return features, look.seen(features, ray)
+    if isinstance(appearance, Features):
+        return features, decode(_now(features, instance.t - mu_tau), instance.camera_to_model[:3, 3], ray, appearance)
+    return features, appearance.seen(features, ray)
 
 
 def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndarray],
             places: np.ndarray) -> tuple[Appearance, list[np.ndarray]]:
     """The features [M, F] with which the Gaussians `index` of an instance, at places [M, 3] in the model's space, have their colours times
     gains [M, 3], scene linear, as its camera sees them: one for each of the gains; and what makes colours of them."""
-    model, look = instance.model, momentary(instance.model.appearance)
-    unit = SH_C0 if isinstance(look, SH) else 1.0
-    if isinstance(look, Features):
-        bare = replace(look, activation="none")
+    model, appearance = instance.model, momentary(instance.model.appearance)
+    unit = SH_C0 if isinstance(appearance, SH) else 1.0
+    if isinstance(appearance, Features):
+        bare = replace(appearance, activation="none")
         features, before = seen_colours(replace(instance, model=replace(model, appearance=bare)), index, places)
-        look, colour = bare, look.activated(before)
+        appearance, colour = bare, appearance.activated(before)
     else:
         features, colour = seen_colours(instance, index, places)
         before = colour
@@ -44,7 +44,7 @@ def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndar
         seen = linear * gain
         out.append(features.astype(np.float32))
         out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / unit
-    return look, out
+    return appearance, out
 
 
 def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:

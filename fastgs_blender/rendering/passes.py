@@ -147,7 +147,7 @@ class Pass:
     light     whether it shows what the scene's lamps do (PassSettings.light)
     level     of a pass that comes in levels, which one it is.  Blender's view layer says how many it wants, of shadows the number of
               lamps; files get the first three if nothing else is said
-    look      (image) -> [h, w, 3]: what viewports show of a pass that is no colour, see false_colour.py
+    display   (image) -> [h, w, 3]: what viewports show of a pass that is no colour, see false_colour.py
     shows     what these colours mean, for users
     """
 
@@ -169,7 +169,7 @@ class Pass:
     meshes: bool = False
     light: bool = False
     level: int = 0
-    look: Callable[[np.ndarray], np.ndarray] = false_colour.grey
+    display: Callable[[np.ndarray], np.ndarray] = false_colour.grey
     shows: str = ""
 
     @property
@@ -231,7 +231,7 @@ def _cryptomatte(level: int) -> Pass:
     return Pass(f"cryptomatte_{level:02d}", lambda b: cryptomatte.level(b.shares, [name for name, _ in b.objects], level), ("shares",), 4,
                 exr=tuple(f"{name}.{letter}" for letter in "rgba"), blender=name, letters="rgba", kind="COLOR",
                 switch="use_pass_cryptomatte_object", title="Cryptomatte Object", level=level, exposed=True,
-                look=false_colour.mattes, shows="A colour for each object, as bright as it covers the pixel")
+                display=false_colour.mattes, shows="A colour for each object, as bright as it covers the pixel")
 
 
 def _shadow(level: int) -> Pass:
@@ -264,7 +264,7 @@ def _lamp_light(level: int) -> Pass:
     name = "lamp_light" + number.replace(" ", "_")
     return Pass(name, lambda b: _mean(b, name, 0.0), (name,), 3, mixes=True, meshes=True, light=True,
                 exr=tuple(f"Lamp Light{number}.{letter}" for letter in "RGB"), blender=f"Lamp Light{number}", letters="RGB", kind="COLOR",
-                switch="fastgs.use_pass_lamp_light", title="Lamp Light", level=level, look=partial(np.clip, a_min=0, a_max=1),
+                switch="fastgs.use_pass_lamp_light", title="Lamp Light", level=level, display=partial(np.clip, a_min=0, a_max=1),
                 description="Deliver the light of each lamp, and of the world, on the splats as if these were white and nothing in its way",
                 shows="The light as it is on white paint")
 
@@ -298,27 +298,27 @@ PASSES = {entry.name: entry for entry in (
          switch="fastgs.use_pass_unlit",
          description="Deliver an estimate of the splats' colours without the smooth part of the light that they were captured in"),
     Pass("depth", _expected_depth, ("plane",), empty=np.inf, exr=("Depth.Z",), blender="Depth", letters="Z", switch="use_pass_z",
-         look=false_colour.near_to_far, shows="Near is bright, far is dark"),
+         display=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("median_depth", lambda b: b.probes["median"], ("median",), empty=np.inf, exr=("MedianDepth.Z",), blender="Depth", letters="Z",
-         switch="use_pass_z", look=false_colour.near_to_far, shows="Near is bright, far is dark"),
+         switch="use_pass_z", display=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("first_depth", lambda b: b.probes["first"], ("first",), empty=np.inf, exr=("FirstDepth.Z",), blender="Depth", letters="Z",
-         switch="use_pass_z", look=false_colour.near_to_far, shows="Near is bright, far is dark"),
+         switch="use_pass_z", display=false_colour.near_to_far, shows="Near is bright, far is dark"),
     Pass("mist", _mist, ("mist",), empty=1.0, mixes=True, exr=("Mist.Z",), blender="Mist", letters="Z", switch="use_pass_mist",
          shows="Black near, white far"),
     Pass("position", _position, ("plane",), 3, exr=("Position.X", "Position.Y", "Position.Z"),
-         blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position", look=false_colour.places,
+         blender="Position", letters="XYZ", kind="VECTOR", switch="use_pass_position", display=false_colour.places,
          shows="Red, green and blue grow with x, y and z, over what is seen"),
     Pass("normal", _normal, ("normal",), 3, mixes=True, exr=("Normal.X", "Normal.Y", "Normal.Z"),
-         blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", look=false_colour.directions,
+         blender="Normal", letters="XYZ", kind="VECTOR", switch="use_pass_normal", display=false_colour.directions,
          shows="Red, green and blue are x, y and z; -1 is dark, 1 is bright"),
     Pass("vector", _vector, ("vector",), 4, exr=("Vector.X", "Vector.Y", "Vector.Z", "Vector.W"),
-         blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", look=false_colour.motion,
+         blender="Vector", letters="XYZW", kind="VECTOR", switch="use_pass_vector", display=false_colour.motion,
          shows="The hue is the direction of motion to the next frame, the brightness its speed"),
     Pass("object_index", _object_index, ("shares",), exr=("Object Index.X",), blender="Object Index", letters="X",
-         switch="use_pass_object_index", look=false_colour.numbered, shows="A colour for each Pass Index; 0 is black"),
+         switch="use_pass_object_index", display=false_colour.numbered, shows="A colour for each Pass Index; 0 is black"),
     *(_cryptomatte(level) for level in range(LEVELS)),
     Pass("count", lambda b: b.probes["count"], ("count",), mixes=True, exr=("Gaussian Count.X",), blender="Gaussian Count", letters="X",
-         look=false_colour.heat, switch="fastgs.use_pass_count",
+         display=false_colour.heat, switch="fastgs.use_pass_count",
          description="Deliver how many Gaussians were blended into each pixel, to see what a frame costs",
          shows="Black is none, nearly white the most of the picture"),
 )}

@@ -235,8 +235,9 @@ def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, 
     gain = captured * (1 - shadows * (1 - past)) + lamps * (bare - shadows * (bare - all_))
     out = bright = instance
     if settings.takes_light:
-        look, features = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
-        out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=look), origin=instance.source, painted=True)
+        appearance, features = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
+        out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=appearance),
+                              origin=instance.source, painted=True)
                       for each in features)
         bright = rest[0] if drops else out
     if not drops:

@@ -14,15 +14,15 @@ class Filming:
     """A filming under way.
 
     name   the capture's folder, for messages
-    done   pictures that are there, of `whole`
+    done   pictures that are there, of `total`
     made   how many of them this filming has made
-    doing  what is being done, where it is not filming: done and whole are then of that
+    doing  what is being done, where it is not filming: done and total are then of that
     clock  gives the time in seconds from any beginning
     """
 
     name: str
     done: int = 0
-    whole: int = 0
+    total: int = 0
     made: int = 0
     doing: str = "Filming"
     clock: Callable[[], float] = time.monotonic
@@ -30,15 +30,15 @@ class Filming:
     def __post_init__(self):
         self._began = self.clock()
 
-    def step(self, done: int, whole: int, doing: str = "Filming") -> None:
+    def step(self, done: int, total: int, doing: str = "Filming") -> None:
         """Record the number of pictures that are done."""
         self.made += doing == "Filming" and done > self.done
-        self.done, self.whole, self.doing = done, whole, doing
+        self.done, self.total, self.doing = done, total, doing
 
     @property
     def share(self) -> float:
         """0..1."""
-        return min(self.done / self.whole, 1.0) if self.whole else 0.0
+        return min(self.done / self.total, 1.0) if self.total else 0.0
 
     @property
     def seconds_each(self) -> float | None:
@@ -49,7 +49,7 @@ class Filming:
     def seconds_left(self) -> float | None:
         """Seconds until all pictures are there; None before the first."""
         each = self.seconds_each
-        return None if each is None else each * (self.whole - self.done)
+        return None if each is None else each * (self.total - self.done)
 
 
 current: Filming | None = None

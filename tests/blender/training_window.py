@@ -113,7 +113,7 @@ def from_scene_to_shot(environment, cache):
     release = held_filming()
     yield from click(area, "fastgs.train")
     yield from until(lambda: progress.current and progress.current.made > 1)
-    filming = [progress.current.done, progress.current.whole]
+    filming = [progress.current.done, progress.current.total]
     view = area.spaces.active.region_3d
     before = view.view_rotation.copy()
     yield from press('NUMPAD_6', area)  # the view turns meanwhile

@@ -55,7 +55,7 @@ def numbers() -> dict[str, Any]:
         "kinds": {
             "LEAST_GAP": LEAST_GAP, "MAX_DEGREE": motion.MAX_DEGREE, "MAX_TERMS": MAX_TERMS, "SH_C0": SH_C0, "ACTIVATIONS": ACTIVATIONS,
             "DECODES": DECODES, "DECODER": {key: getattr(Features(), key).shape for key in native_arrays.DECODER},
-            "APPEARANCES": {name: getattr(look, "code", -1) for name, look in APPEARANCES.items()},
+            "APPEARANCES": {name: getattr(appearance, "code", -1) for name, appearance in APPEARANCES.items()},
             "TEMPORAL": {name: {"code": kind.code, "logarithms": kind.logarithms} for name, kind in KINDS.items()}},
         "order": {"MARGIN": MARGIN, "LOOK": _places(Look),
                   "TEMPORAL": {name: kind.code for name, kind in KINDS.items()}},

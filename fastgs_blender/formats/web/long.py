@@ -52,9 +52,9 @@ def stands_for(clip: Chapters) -> GaussianModel:
     most = sum(piece.size for piece in clip.pieces)
     if most > MOST_GAUSSIANS:
         raise FastGSError(f"a web page plays at most {MOST_GAUSSIANS} Gaussians, not {most} in all chapters; thin the clip out, or cut it.")
-    for reason in {cannot_play(chapter.kinds) for chapter in clip.chapters} - {None}:
+    for reason in {cannot_play(chapter.template) for chapter in clip.chapters} - {None}:
         raise FastGSError(reason)
-    return replace(clip.chapters[0].kinds)
+    return replace(clip.chapters[0].template)
 
 
 def opened(path: Path) -> Chapters:
@@ -139,8 +139,8 @@ def _pieces(path: Path, clip: Chapters) -> list[tuple[GaussianModel, PagePiece, 
     found: list[tuple[GaussianModel, PagePiece, Callable[[], bytes]]] = []
     for k, (piece, values) in enumerate(zip(clip.pieces, listed)):
         chapter = clip.chapters[piece.first]
-        found.append((replace(chapter.kinds), PagePiece(piece.size, _shown(clip, piece), chapter.time),
-                      partial(_file, path, k, values, chapter.kinds)))
+        found.append((replace(chapter.template), PagePiece(piece.size, _shown(clip, piece), chapter.time),
+                      partial(_file, path, k, values, chapter.template)))
     return found
 
 
@@ -151,12 +151,12 @@ def _shown(clip: Chapters, piece: Piece) -> tuple[float, float]:
     return -1e9 if low is None else low, 1e9 if high is None else high
 
 
-def _file(path: Path, k: int, values: dict, kinds: GaussianModel) -> bytes:
+def _file(path: Path, k: int, values: dict, template: GaussianModel) -> bytes:
     """The k-th piece as a file of one model, with the numbers that it has."""
     with open_tensors(path) as file, tempfile.TemporaryDirectory(prefix="fastgs-") as folder:
         own, target = file.below(PIECE.format(k)), Path(folder) / "piece.safetensors"
-        model = describe(kinds) | values.get("model", {})
+        model = describe(template) | values.get("model", {})
         entries = {ENTRY: values[ENTRY]} if ENTRY in values else {}
         about = {"version": COMPRESSED if entries else VERSION, "generator": generator(), "model": model, **entries}
-        write_tensors(target, {name: own.read(name) for name in own.entries} | decoder_of(kinds), {KEY: json.dumps(about)})
+        write_tensors(target, {name: own.read(name) for name in own.entries} | decoder_of(template), {KEY: json.dumps(about)})
         return target.read_bytes()

@@ -27,7 +27,7 @@ CONSTANTS = {
     "SRGB_CUT": SRGB_CUT, "SRGB_GAMMA": SRGB_GAMMA, "SRGB_LINEAR_CUT": SRGB_LINEAR_CUT, "SRGB_OFFSET": SRGB_OFFSET,
     "SRGB_SLOPE": SRGB_SLOPE,
     **{f"TEMPORAL_{name.upper()}".replace("-", "_"): kind.code for name, kind in KINDS.items()},
-    **{f"APPEARANCE_{name.upper()}": look.code for name, look in APPEARANCES.items() if hasattr(look, "code")},
+    **{f"APPEARANCE_{name.upper()}": appearance.code for name, appearance in APPEARANCES.items() if hasattr(appearance, "code")},
     **{f"ACTIVATION_{name.upper()}": code for code, name in enumerate(ACTIVATIONS)},
     **{f"DECODE_{name.upper()}": code for code, name in enumerate(DECODES)},
 }

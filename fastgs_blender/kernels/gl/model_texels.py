@@ -69,9 +69,9 @@ class Place:
 
 def layout_of(model: GaussianModel) -> TexelLayout:
     """The layout of a model's texels."""
-    look, changes = momentary(model.appearance), changes_of(model).terms
-    degree = getattr(look, "degree", 0)
-    colours = RGB.code if isinstance(look, SH) and not degree and not changes else look.code
+    appearance, changes = momentary(model.appearance), changes_of(model).terms
+    degree = getattr(appearance, "degree", 0)
+    colours = RGB.code if isinstance(appearance, SH) and not degree and not changes else appearance.code
     return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
                        colours, degree, changes)
 
@@ -114,13 +114,13 @@ def write_colour(model: GaussianModel, out: np.ndarray) -> None:
     if not n:
         return
     out[:] = 0
-    look = momentary(model.appearance)
+    appearance = momentary(model.appearance)
     features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
     if p.colours == SH.code:
-        out.reshape(n, 1 + p.changes, -1)[..., :look.width] = features.reshape(n, 1 + p.changes, look.width)
+        out.reshape(n, 1 + p.changes, -1)[..., :appearance.width] = features.reshape(n, 1 + p.changes, appearance.width)
     elif p.colours == Features.code:
         out[:, :, :3] = features.reshape(n, 3, 3)
-    elif isinstance(look, SH):
+    elif isinstance(appearance, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)
     else:
         out[..., :3] = features.reshape(n, 1 + p.changes, 3)

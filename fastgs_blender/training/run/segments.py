@@ -60,11 +60,11 @@ def joined_clip(load: Callable[[int], GaussianModel], cuts: list[Span], clip: Cl
     """
     segments = _Segments(load, cuts, clip)
     chapters, pieces = segments.cut(0).chapters, []
-    kinds = replace(chapters[0].kinds, surroundings=together(segments.surroundings), provenance=provenance)
+    template = replace(chapters[0].template, surroundings=together(segments.surroundings), provenance=provenance)
     for i in range(len(cuts)):
         for k, piece in enumerate(segments.cut(i).pieces):
             pieces.append(replace(piece, read=partial(segments.piece, i, k)))
-    return Chapters(clip, [replace(chapter, kinds=kinds) for chapter in chapters], pieces, about="the segments")
+    return Chapters(clip, [replace(chapter, template=template) for chapter in chapters], pieces, about="the segments")
 
 
 class _Segments:

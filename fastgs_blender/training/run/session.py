@@ -114,8 +114,8 @@ class _Session:
         about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout,
                  "iterations": str(settings.iterations), "settings": json.dumps(settings.to_dict(), allow_nan=False),
                  **training_record.record(capture), **training_record.corrections_entry(corrections)}
-        whole = joined_clip(self._finished, cuts, capture.clip, about) if only is None else replace(first, provenance=about)
-        return self._finish(whole, capture, store, cuts)
+        model = joined_clip(self._finished, cuts, capture.clip, about) if only is None else replace(first, provenance=about)
+        return self._finish(model, capture, store, cuts)
 
     def _finished(self, number: int) -> GaussianModel:
         """The model of a segment whose training has ended."""
@@ -131,19 +131,19 @@ class _Session:
         if (folder / SEGMENT_MODEL).exists():
             (folder / CHECKPOINT).unlink(missing_ok=True)
             return None
-        whole, capture = capture, capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
-        self.reporter.fill(store, capture.shots)
-        earlier = whole.part(cuts[number - 1].first, cuts[number - 1].count) if number else None
+        part = capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
+        self.reporter.fill(store, part.shots)
+        earlier = capture.part(cuts[number - 1].first, cuts[number - 1].count) if number else None
         try:
-            model = self._trained(capture, store, cuts, folder, number, backend, earlier)
+            model = self._trained(part, store, cuts, folder, number, backend, earlier)
         except DeviceError as error:
             if self.processes.count > 1:
                 raise FastGSError(f"a GPU fails ({error}); --resume continues the run, --device cpu without GPUs.") from error
             self.reporter.warn(f"the GPU fails ({error}): the processor goes on from the last checkpoint.")
             self.reporter.device = f"{self.reporter.device.partition(', then ')[0]}, then {describe_backend('cpu')}"
-            model = self._trained(capture, store, cuts, folder, number, "cpu", earlier)
+            model = self._trained(part, store, cuts, folder, number, "cpu", earlier)
         if len(cuts) > 1:  # the model replaces the checkpoint
-            model = freeze_still(model, capture, store, self.plan.settings) if self.plan.settings.segment_steps else model
+            model = freeze_still(model, part, store, self.plan.settings) if self.plan.settings.segment_steps else model
             checkpoint.write_json(folder / SEGMENT_DONE, {"elapsed": self.reporter.elapsed})
             written.write(model, folder / SEGMENT_MODEL)
             (folder / CHECKPOINT).unlink(missing_ok=True)
@@ -209,9 +209,9 @@ class _Session:
             reporter.warn(text)
         if capture.held_out:
             shown = model if isinstance(model, GaussianModel) else formats.open_source(out / MODEL)
-            whole, foreground = measure(shown, capture, store, settings, self._held_out(capture, store, cuts),
-                                        fit_colours="exposures" in found)
-            report |= {"held_out_views": capture.held_out_views, "held_out_psnr": whole, "held_out_foreground_psnr": foreground}
+            psnr, foreground = measure(shown, capture, store, settings, self._held_out(capture, store, cuts),
+                                       fit_colours="exposures" in found)
+            report |= {"held_out_views": capture.held_out_views, "held_out_psnr": psnr, "held_out_foreground_psnr": foreground}
         checkpoint.write_json(out / REPORT, report)
         reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})
         return report
@@ -255,16 +255,16 @@ def take_steps(trainer: Trainer, reporter: Reporter, save: Callable[[bool], None
         i = trainer.iteration
         stopped = stop()
         last = stopped or i == s.iterations
-        look = preview and s.preview_every and (i % s.preview_every == 0 or i == s.iterations)
+        previews = preview and s.preview_every and (i % s.preview_every == 0 or i == s.iterations)
         keep = last or time.monotonic() - saved > pause
-        if look or keep:
+        if previews or keep:
             report(trainer.finish())
             if trainer.iteration < i:
                 continue
-        if look:
-            whole, foreground, pictures = trainer.measure(preview)
+        if previews:
+            psnr, foreground, pictures = trainer.measure(preview)
             kind = "held_out" if preview[0].held_out else "preview"
-            measured = {f"{kind}_psnr": whole} | ({} if foreground is None else {f"{kind}_foreground_psnr": foreground})
+            measured = {f"{kind}_psnr": psnr} | ({} if foreground is None else {f"{kind}_foreground_psnr": foreground})
             reporter.preview(before + i, np.concatenate(pictures[len(pictures) // 2], 1), measured)
         if keep:
             began = time.monotonic()

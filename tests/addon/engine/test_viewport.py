@@ -236,7 +236,7 @@ def test_passes_are_shown_in_their_false_colours(module, fg, make_model, model_f
     for name in ("depth", "normal", "cryptomatte_00", "count", "vector", "depth"):
         got = draw(snapshot(path), eye(), wait=True, data=data(name))
         image = fg.render(snapshot(path).load()[0], eye(), passes=[name])[name]
-        assert got[..., :3] == pytest.approx(linear(table[name].look(image)), abs=2e-3) and (got[..., 3] == 1).all()
+        assert got[..., :3] == pytest.approx(linear(table[name].display(image)), abs=2e-3) and (got[..., 3] == 1).all()
         assert got[..., :3].std() > 0.01 and view.as_final and view.shows
     assert psnr(draw(snapshot(path), eye(), wait=True), expected(snapshot(path), eye())) > 45
     assert not view.as_final and view.shows and not view.stale

@@ -19,10 +19,10 @@ def test_every_pass_has_a_look_within_the_screens_range():
     for name, entry in PASSES.items():
         if entry.colour:
             continue
-        shown = entry.look(found[name])
+        shown = entry.display(found[name])
         assert shown.shape == (*found["alpha"].shape, 3), name
         assert np.isfinite(shown).all() and shown.min() >= 0 and shown.max() <= 1 and entry.shows, name
-        empty = entry.look(np.full(found[name].shape, entry.empty, np.float32))
+        empty = entry.display(np.full(found[name].shape, entry.empty, np.float32))
         assert (empty == (1 if entry.empty == 1 else 0)).all(), name
 
 
