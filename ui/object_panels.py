@@ -59,6 +59,13 @@ def draw_other_engine(layout, context):
         props.data_path, props.value = "scene.render.engine", 'FASTGS'
 
 
+def draw_as_filmed(layout, context):
+    """Draw the buttons with which the scene shows captures as they were filmed: its view transform and its engine, where they do not."""
+    if startup.dulls_colours(context.scene):
+        layout.operator("fastgs.use_standard", icon='COLOR')
+    draw_other_engine(layout, context)
+
+
 def draw_look(layout, context):
     """Draw how the model's colours, opacity and sizes are changed."""
     split(layout)
@@ -127,9 +134,7 @@ class FASTGS_PT_object(_Splat, bpy.types.Panel):
         row = layout.row(align=True)
         row.operator("fastgs.frame_capture", icon='ZOOM_SELECTED')
         row.operator("fastgs.set_upright", icon='EMPTY_SINGLE_ARROW')
-        if startup.dulls_colours(context.scene):
-            layout.operator("fastgs.use_standard", icon='COLOR')
-        draw_other_engine(layout, context)
+        draw_as_filmed(layout, context)
 
 
 class FASTGS_PT_object_time(_Moving, bpy.types.Panel):

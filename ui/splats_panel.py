@@ -2,7 +2,7 @@
 """The first panel of the sidebar's FAST-GS tab: importing, and what is done with splats in the 3D view itself."""
 import bpy
 
-from .object_panels import Sidebar, draw_error, draw_other_engine, is_ours
+from .object_panels import Sidebar, draw_as_filmed, draw_error, is_ours
 
 
 class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
@@ -24,7 +24,7 @@ class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
             row.operator("fastgs.look_through", text="", icon='OUTLINER_OB_CAMERA')
         row.operator("fastgs.store_view", text="", icon='FILE_TICK')
         draw_settings_button(layout, context)
-        draw_other_engine(layout, context)
+        draw_as_filmed(layout, context)
 
 
 def draw_settings_button(layout, context):

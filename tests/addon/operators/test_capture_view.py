@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """An import is seen at once: from a good side, framed by its subject, with nothing of the startup file before it."""
 from dataclasses import replace
+from types import SimpleNamespace
 
 import bpy
 import numpy as np
 import pytest
 from mathutils import Matrix, Quaternion, Vector
+from panel_recorder import Layout
 
 LENS = {"width": 64, "height": 48, "fx": 50.0, "fy": 50.0, "cx": 32.0, "cy": 24.0}
 LEFT = {"position": (-4.0, 0.0, 0.0), "rotation": (0.5, -0.5, 0.5, -0.5)}  # looks along +x of a world with z up, right is -y
@@ -159,6 +161,21 @@ def test_the_colours_are_said_and_changed_by_a_button_alone(startup, filmed, mod
     startup.view_settings.view_transform, startup.view_settings.exposure = 'AgX', 0.5  # somebody's choice
     bpy.ops.import_scene.fastgs(filepath=path)
     assert "Standard shows them" not in capfd.readouterr().out
+
+
+def test_a_scene_that_shows_captures_otherwise_says_so_where_artists_look(startup, filmed, model_file, module):
+    """In the sidebar and in the object's properties: a button for the engine, and one for the view transform."""
+    bpy.ops.import_scene.fastgs(filepath=model_file(filmed))
+    panels = module("ui.splats_panel").FASTGS_PT_splats, module("ui.object_panels").FASTGS_PT_object
+    colours, other = "fastgs.use_standard", "wm.context_set_enum"
+    for transform, engine, wanted in (('AgX', 'CYCLES', {colours, other}), ('AgX', 'FASTGS', {colours}), ('Standard', 'FASTGS', set())):
+        startup.view_settings.view_transform = transform
+        context = SimpleNamespace(object=bpy.context.object, scene=startup, engine=engine, screen=SimpleNamespace(areas=[]),
+                                  region=SimpleNamespace(width=280))
+        for panel in panels:
+            layout = Layout()
+            panel.draw(SimpleNamespace(layout=layout), context)
+            assert {colours, other} & {text for kind, text, _ in layout.record if kind == "operator"} == wanted, (panel, transform, engine)
 
 
 def test_a_still_changes_no_range_and_has_no_time(startup, make_model, model_file):
