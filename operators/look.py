@@ -1,9 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The operator that puts an object's look back to what its file says."""
+"""Operators on how an object shows its splats: as the file says, and with an effect of Geometry Nodes."""
+from __future__ import annotations
+
 import bpy
+from bpy.props import EnumProperty
 
 from ..fastgs_blender.rendering.instances import LOOKS
 from ..scene import objects
+from ..scene.splats import effects
 from .action import EDITABLE_SPLATS, Action
 
 
@@ -20,3 +24,18 @@ class FASTGS_OT_reset_look(Action, bpy.types.Operator):
                 for name in (*LOOKS, "antialias"):
                     obj.fastgs.property_unset(name)
                 obj.update_tag()
+
+
+class FASTGS_OT_add_effect(Action, bpy.types.Operator):
+    """Add a modifier of Geometry Nodes that changes the active object's Gaussians, all of which become points; its values can be keyed"""
+
+    bl_idname = "fastgs.add_effect"
+    bl_label = "Add Effect"
+    needs = (EDITABLE_SPLATS,)
+
+    effect: EnumProperty(
+        name="Effect", description="What happens to the Gaussians",
+        items=tuple((key, effect.label, effect.description, number) for number, (key, effect) in enumerate(effects.EFFECTS.items())))
+
+    def act(self, context):
+        context.object.modifiers.active = effects.add(context.object, self.effect)

@@ -1,11 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Operators of the preferences: compile and clear the renderer's kernels, open the guide, copy diagnostics."""
+"""Operators of the preferences: GPUs, the training Python, the compiled kernels, the guide, diagnostics."""
 import bpy
 
 from ..engine import compiling, diagnostics
+from ..fastgs_blender.jobs import environment as pythons
 from ..fastgs_blender.kernels.cpu import cache
 from ..fastgs_blender.util.errors import FastGSError
-from ..scene import pages
+from ..scene import devices, pages, settings
+from ..scene.training import installation, watch
 from .action import Action, Need
 
 
@@ -67,3 +69,50 @@ class FASTGS_OT_open_guide(Action, bpy.types.Operator):
             bpy.ops.wm.path_open(filepath=str(guide))
         except RuntimeError as error:  # nothing on this machine opens such files
             raise FastGSError(f"{guide} could not be opened ({str(error).strip()}); open it yourself") from error
+
+
+class FASTGS_OT_test_gpus(Action, bpy.types.Operator):
+    """Compare small pictures and gradients of each GPU with the processor's, and take the time of both. Blender stays usable meanwhile"""
+
+    bl_idname = "fastgs.test_gpus"
+    bl_label = "Test"
+    bl_options = {'REGISTER'}
+    needs = (Need(lambda context: not devices.line(), "They are being tested"),)
+
+    def act(self, context):
+        running = devices.test()
+        if bpy.app.background:
+            running.wait()
+            devices.refresh()
+            if running.trouble:
+                raise FastGSError(running.trouble)
+
+
+class FASTGS_OT_use_gpu(Action, bpy.types.Operator):
+    """Let scenes whose device is GPU use this one"""
+
+    bl_idname = "fastgs.use_gpu"
+    bl_label = "Use This GPU"
+    bl_options = {'REGISTER'}
+    needs = (Need(lambda context: settings.preferences() is not None, "The extension is not enabled"),)
+
+    name: bpy.props.StringProperty(name="Name", description="Of the GPU; empty for one that is faster than the processor")
+
+    def act(self, context):
+        settings.preferences().gpu = self.name
+
+
+class FASTGS_OT_test_training_python(Action, bpy.types.Operator):
+    """Try whether the training Python has all that training needs, and say what is missing"""
+
+    bl_idname = "fastgs.test_training_python"
+    bl_label = "Test"
+    bl_options = {'REGISTER'}
+
+    def act(self, context):
+        python = installation.python()
+        report = installation.tested[python] = pythons.inspect(python)
+        watch.redraw()
+        if not report.ready:
+            raise FastGSError(report.sentence)
+        return report.sentence

@@ -5,32 +5,25 @@ import bpy
 from ..scene import settings
 from ..scene.registration import classes_of
 from . import (
-    camera_panel,
-    capture_panel,
-    keymap,
-    manual,
     menus,
     object_panels,
     parts_panel,
     preferences,
     render_panels,
+    sidebar,
     splats_panel,
     tools,
     training_panel,
-    viewport_panel,
 )
 
-CLASSES = classes_of(
-    object_panels, render_panels, splats_panel, parts_panel, viewport_panel, camera_panel, capture_panel, training_panel, preferences)
+CLASSES = classes_of(object_panels, render_panels, splats_panel, parts_panel, sidebar, training_panel, preferences)
 register_classes, unregister_classes = bpy.utils.register_classes_factory(CLASSES)
 
 
 def register():
     register_classes()
     menus.register()
-    keymap.register()
     tools.register()
-    manual.register()
     training_panel.register()
     if settings.preferences():
         settings.apply(settings.preferences())
@@ -38,8 +31,6 @@ def register():
 
 def unregister():
     training_panel.unregister()
-    manual.unregister()
     tools.unregister()
-    keymap.unregister()
     menus.unregister()
     unregister_classes()

@@ -1,8 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The extension's entries in Blender's menus and panels."""
+"""The extension's entries in Blender's menus and panels, its shortcuts, and the pages that Online Manual (F1) opens for its buttons."""
 import bpy
 
+from ..scene import pages as documentation
 from .object_panels import draw_size
+
+_shortcuts = []
 
 
 def draw_import(self, context):
@@ -71,12 +74,56 @@ MENUS = (
     (bpy.types.OBJECT_PT_transform, draw_size),
 )
 
+PAGES = (
+    ("bpy.ops.fastgs.bake*", "baking"),
+    ("bpy.ops.fastgs.train*", "training-in-blender"),
+    ("bpy.ops.fastgs.*training_python*", "training-in-blender"),
+    ("bpy.ops.fastgs.capture_scene*", "training-in-blender"),
+    ("bpy.types.fastgs_pg_training*", "training-in-blender"),
+    ("bpy.ops.fastgs.check_capture*", "captures"),
+    ("bpy.ops.fastgs.import_capture*", "captures"),
+    ("bpy.ops.export_scene.fastgs*", "formats"),
+    ("bpy.ops.fastgs.export_native*", "formats"),
+    ("bpy.ops.import_scene.fastgs*", "guide"),
+    *((f"bpy.ops.fastgs.{name}*", "parts") for name in (
+        "select_", "separate", "join_parts", "show_whole", "erase", "show_hidden", "invert_hidden", "delete_for_good", "clean_up", "grow",
+        "add_crop", "remove_crop", "add_filter", "remove_filter")),
+    ("bpy.ops.fastgs.*", "guide"),
+    ("bpy.types.fastgs_*", "guide"),
+)
+"""Patterns of operators and properties, all in lower case, and their pages; the first that fits counts."""
+
+
+def pages() -> tuple[str, tuple[tuple[str, str], ...]]:
+    """What Blender's View Manual asks for: where pages lie, and which is whose."""
+    return documentation.DOCS.as_uri() + "/", tuple((pattern, documentation.path(name).name) for pattern, name in PAGES)
+
+
+def _add_shortcuts():
+    keys = bpy.context.window_manager.keyconfigs.addon
+    if keys is None:  # in background there are no shortcuts
+        return
+    keymap = keys.keymaps.new("Object Mode")
+    for button in ('LEFTMOUSE', 'RIGHTMOUSE'):  # the operator knows which of them selects
+        for shift in (False, True):
+            item = keymap.keymap_items.new("fastgs.select", button, 'CLICK', shift=shift)
+            item.properties.toggle = shift
+            _shortcuts.append((keymap, item))
+    keymap = keys.keymaps.new("3D View", space_type='VIEW_3D')
+    _shortcuts.append((keymap, keymap.keymap_items.new("fastgs.key_from_view", 'K', 'PRESS', ctrl=True, alt=True)))
+
 
 def register():
     for menu, draw in MENUS:
         menu.append(draw)
+    _add_shortcuts()
+    bpy.utils.register_manual_map(pages)
 
 
 def unregister():
+    bpy.utils.unregister_manual_map(pages)
+    for keymap, item in _shortcuts:
+        keymap.keymap_items.remove(item)
+    _shortcuts.clear()
     for menu, draw in MENUS:
         menu.remove(draw)

@@ -25,8 +25,7 @@ from ..util.backends import describe_backend
 from ..util.errors import FastGSError
 from . import halves, metrics
 from .film import available, film
-from .flip import Flip
-from .perceptual import Lpips, Unavailable
+from .perceptual import Flip, Lpips, Unavailable
 from .pictures import comparison
 from .training_record import TrainingRecord, corrections, recorded
 

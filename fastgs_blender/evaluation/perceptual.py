@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""LPIPS with AlexNet (version 0.1), where the packages and weights lie on this machine.  Nothing is ever downloaded.
+"""How different two display pictures look: LPIPS with AlexNet (version 0.1) and, where that cannot be measured, FLIP.
 
-Needs torch, torchvision, lpips (which brings the small linear layers) and AlexNet's own weights in torch's cache.
+LPIPS needs torch, torchvision, lpips (which brings the small linear layers) and AlexNet's own weights in torch's cache: nothing is ever
+downloaded.  FLIP (Andersson et al. 2020) needs no weights: it is NVIDIA's package flip-evaluator.
 """
 import importlib
 import pickle
@@ -79,3 +80,25 @@ class Lpips:
     def _tensor(self, picture: np.ndarray) -> Any:
         clipped = np.clip(np.asarray(picture, np.float32), 0, 1)
         return self._torch.from_numpy(np.ascontiguousarray(clipped.transpose(2, 0, 1)[None]))
+
+
+class Flip:
+    """Call it with a picture and the truth, [h, w, 3] in 0..1, and valid [h, w] or None: gives the mean of FLIP, 0 (equal) to 1.
+
+    It assumes the package's usual viewing distance of 67 pixels per degree.  Raises Unavailable where the package is not installed.
+    """
+
+    def __init__(self) -> None:
+        try:
+            self._package = importlib.import_module("flip_evaluator")
+        except ImportError as error:
+            reason = "the package flip_evaluator is not installed (pip install flip-evaluator)"
+            raise Unavailable(f"FLIP is not measured, as {reason}") from error
+
+    def __call__(self, picture: np.ndarray, truth: np.ndarray, valid: np.ndarray | None = None) -> float | None:
+        test, reference = (np.ascontiguousarray(np.clip(x, 0, 1), np.float32) for x in (picture, truth))
+        error = np.asarray(self._package.evaluate(reference, test, "LDR", applyMagma=False)[0], np.float64).reshape(test.shape[:2] + (-1,))
+        error = error[..., 0]
+        if valid is not None:
+            error = error[np.asarray(valid) > 0]
+        return float(error.mean()) if error.size else None

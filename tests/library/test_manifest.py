@@ -283,6 +283,6 @@ def test_the_zip_for_the_store_downloads_nothing(builder, wheels, numbas, tmp_pa
         sources = {name: file.read(name).decode() for name in file.namelist() if name.endswith(".py")}
         manifest = tomllib.loads(file.read("blender_manifest.toml").decode())
     assert set(manifest["permissions"]) == {"files", "clipboard"}
-    assert "operators/training_python.py" in sources and "operators/make_environment.py" not in sources
+    assert "operators/maintenance.py" in sources and "operators/make_environment.py" not in sources
     assert not [name for name, text in sources.items() if re.search(r"[\"']pip[\"']", text)]
     assert not [name for name, text in sources.items() if "jobs.maker import" in text or "from .maker" in text]

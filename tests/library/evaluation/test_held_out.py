@@ -14,7 +14,7 @@ import fastgs_blender as fg
 from fastgs_blender import cli
 from fastgs_blender.evaluation import metrics
 from fastgs_blender.evaluation.evaluate import evaluate
-from fastgs_blender.evaluation.flip import Flip
+from fastgs_blender.evaluation.perceptual import Flip
 from fastgs_blender.evaluation.training_record import KEY, recorded
 
 FRAMES = 4
