@@ -15,6 +15,7 @@ set -euo pipefail
 suite=${1:?suite, --possible or --tools}
 roots=${FASTGS_BLENDER_ROOTS:-${XDG_CACHE_HOME:-$HOME/.cache}/fastgs-blender/roots}
 # Debian's blender names only what it links; its add-ons import the Python modules.
+# imagemagick has no user any more: it goes with the next change of this list, for every change makes all roots anew.
 packages=(
     blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
     mesa-vulkan-drivers python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
