@@ -3,9 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
 from numba import float32
+from numba.core import types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from .. import asserts
+from . import simd
 from .jit import kernel
 
 
@@ -37,25 +42,52 @@ def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: 
     asserts.sweep(image, others, planes)
     h, w = image.shape[:2]
     costs = np.empty((len(others), len(planes), h, w), np.float32)
-    for cost, (other, *between) in zip(costs, others):
-        wide = np.pad(other, ((0, 0), (0, 0), (0, 1)))  # four numbers a pixel: LLVM reads them as one vector
-        differences(image, wide, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
+    image, *pictures = (np.pad(each, ((0, 0), (0, 0), (0, 1))) for each in (image, *(other for other, _, _ in others)))
+    for cost, other, (_, *between) in zip(costs, pictures, others):
+        differences(image, other, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
         averaged(cost, reach, np.empty((h, w), np.float32))
     out = np.empty(costs[0].size, np.float32)
     return better_half(costs.reshape(len(others), -1), np.float32(outside / 2), out).reshape(costs.shape[1:])
 
 
+@intrinsic
+def colour_difference(context, pixels, at, row, across, down, image, place):
+    """Sum over the first three channels of the absolute differences between the pixel of image [., 4] at `place`, and a place between four
+    pixels [., 4]: that at `at`, the next one, and those a row later.  across, down: where it lies between them, 0..1.
+
+    Two pixels side by side are one vector.
+    """
+    def build(context, b, given, args):
+        four, number = ir.VectorType(ir.FloatType(), 4), ir.IntType(32)
+        at, row, place = (b.mul(args[k], args[k].type(4)) for k in (1, 2, 6))
+        source = simd.Memory(context, b, given.args[0], args[0])
+        upper, lower = source.floats(at, 0), source.floats(b.add(at, row), 0)
+        mixed = upper + (lower - upper) * simd.broadcast(b, args[4])
+        shares = b.shuffle_vector(simd.broadcast(b, b.fsub(ir.FloatType()(1), args[3])).value, simd.broadcast(b, args[3]).value,
+                                  ir.Constant(simd.INTS, [0] * 4 + [8] * 4))
+        mixed *= simd.Floats(b, shares)
+        left, right = (b.shuffle_vector(mixed.value, mixed.value, ir.Constant(ir.VectorType(number, 4), [*range(first, first + 4)]))
+                       for first in (0, 4))
+        mine = make_array(given.args[5])(context, b, args[5]).data
+        mine = b.load(b.bitcast(b.gep(mine, [place]), four.as_pointer()), align=4)
+        apart = b.fsub(b.fadd(left, right), mine)
+        apart = b.select(b.fcmp_ordered("<", apart, ir.Constant(four, [0.0] * 4)), b.fneg(apart), apart)
+        first, second, third = (b.extract_element(apart, number(k)) for k in range(3))
+        return b.fadd(b.fadd(first, second), third)
+    return types.float32(pixels, types.intp, types.intp, types.float32, types.float32, image, types.intp), build
+
+
 @kernel
 def differences(image, other, turn, shift, planes, outside, out):
-    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 3] and other [., ., 4], were its surface on each plane [D, 3].
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 4] and other [., ., 4], were its surface on each plane [D, 3].
 
     The pixel (u, v) has the inverse depth plane @ (u, v, 1); turn [3, 3], shift [3]: at depth z it is seen by the other camera at
     turn @ (u, v, 1) z + shift (homogeneous).  outside: the difference where the other picture ends, or the plane lies behind a camera.
     """
     height, width = image.shape[:2]
     right, bottom, row = float32(other.shape[1] - 1), float32(other.shape[0] - 1), np.int32(other.shape[1])
-    half, one, third = float32(0.5), float32(1), float32(1 / 3)
-    pixels = other.reshape(-1, 4)
+    half, third = float32(0.5), float32(1 / 3)
+    pixels, mine = other.reshape(-1, 4), image.reshape(-1, 4)
     at, across, down = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
     for d in range(len(planes)):
         for i in range(height):
@@ -75,13 +107,7 @@ def differences(image, other, turn, shift, planes, outside, out):
                 if k < 0:
                     out[d, i, j] = outside
                     continue
-                p, q = across[j], down[j]
-                total = float32(0)
-                for c in range(3):
-                    value = ((one - q) * ((one - p) * pixels[k, c] + p * pixels[k + 1, c])
-                             + q * ((one - p) * pixels[k + row, c] + p * pixels[k + row + 1, c]))
-                    total += abs(value - image[i, j, c])
-                out[d, i, j] = total * third
+                out[d, i, j] = colour_difference(pixels, k, row, across[j], down[j], mine, i * width + j) * third
 
 
 @kernel
