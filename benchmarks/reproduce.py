@@ -32,13 +32,13 @@ from fastgs_blender.commands.train import frames_slice
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.training.core.presets import PRESETS, SCENES
 from fastgs_blender.training.core.settings import Settings, option_from_text, settings
+from fastgs_blender.training.core.spans import spans, steps_of
 from fastgs_blender.training.core.start import Start
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.first_model import model_from_points
 from fastgs_blender.training.run import launch
 from fastgs_blender.training.run.files import MODEL, REPORT
 from fastgs_blender.training.run.plan import Source, read_plan
-from fastgs_blender.training.run.segments import spans, steps_of
 from fastgs_blender.util.backends import choose_device, describe_backend
 from fastgs_blender.util.errors import FastGSError, printable
 from fastgs_blender.util.outputs import replacing
@@ -244,8 +244,8 @@ def _foretell(args: argparse.Namespace, protocol: Protocol, todo: list[Part], ou
         kind = size, chosen.max_gaussians, chosen.batch, chosen.motion, chosen.order
         if kind not in known:
             known[kind] = step_seconds(capture, chosen, backend)
-        steps += steps_of(capture, chosen)
-        seconds += steps_of(capture, chosen) * known[kind]
+        steps += steps_of(capture.clip.frame_count, chosen)
+        seconds += steps_of(capture.clip.frame_count, chosen) * known[kind]
     note(f"training will take about {_length(seconds)} on this machine ({describe_backend(backend)}): {steps} steps, "
          f"{1000 * seconds / steps:.0f} ms each with {gaussians_of(chosen)} Gaussians at {size}, as timed now. "
          "Starting points, pictures and measuring come on top.")

@@ -11,7 +11,7 @@ from ..jobs import checks
 from ..training.core import costs
 from ..training.core.presets import LENGTHS
 from ..training.core.settings import Settings
-from ..training.run.segments import spans
+from ..training.core.spans import spans
 from ..util.errors import FastGSError
 from .report import Section
 from .samples import Inspection
@@ -47,7 +47,7 @@ def run(inspection: Inspection) -> Section:
     memory = checks.available_memory()
     rows = {}
     for preset in LENGTHS:
-        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=cut.count), len(capture))
+        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=capture.clip.frame_count), len(capture))
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """How many Gaussians suit a capture, and the time and the memory of a run before it starts, on this machine's processor."""
 import os
+from dataclasses import replace
 
-from .presets import LENGTHS, PRESETS
-from .settings import Settings
+from .presets import LENGTHS
+from .settings import settings as make
+from .spans import spans, steps_of
 
 BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
 STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
@@ -26,16 +28,17 @@ def rooms(pixels: float) -> float:
 
 
 def longer(frames: int) -> float:
-    """By how much a clip of so many frames, or its first segment, is longer than those that the presets' steps suit; at least 1."""
-    return max(min(frames, Settings.segment_frames) / FRAMES, 1.0)
+    """By how much a segment of so many frames is longer than those that the presets' steps suit; at least 1."""
+    return max(frames / FRAMES, 1.0)
 
 
 def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: float = 0, frames: int = 0) -> tuple[int, int]:
-    """Number of steps and maximum number of Gaussians of a run, or of its first segment; pixels as in rooms(), frames of the clip."""
-    chosen, suits = PRESETS[preset.lower()], preset.lower() in LENGTHS
-    times, steps = (rooms(pixels), longer(frames)) if suits else (1.0, 1.0)
-    return (iterations or round(steps * chosen.get("iterations", Settings.iterations)),
-            max_gaussians or round(times * chosen.get("max_gaussians", Settings.max_gaussians)))
+    """Number of steps of a run in all its segments, and maximum number of Gaussians of one; pixels as in rooms(), frames of the clip."""
+    settings = make(preset=preset.lower())
+    cuts = spans(frames, settings.segment_frames, settings.segment_overlap)
+    times, steps = (rooms(pixels), longer(cuts[0].count)) if preset.lower() in LENGTHS else (1.0, 1.0)
+    first = replace(settings, iterations=iterations or round(steps * settings.iterations))
+    return steps_of(frames, first), max_gaussians or round(times * settings.max_gaussians)
 
 
 def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) -> tuple[float, float]:

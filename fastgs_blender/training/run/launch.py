@@ -106,7 +106,7 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
 def _seconds(capture: Capture, settings: Settings) -> float:
     """How long a run on this capture will take on the processor, roughly."""
     from ..core.costs import estimate
-    from .segments import steps_of
+    from ..core.spans import steps_of
 
     pixels = max((shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None), default=0)
-    return estimate(pixels, steps_of(capture, settings), settings.max_gaussians)[0]
+    return estimate(pixels, steps_of(capture.clip.frame_count, settings), settings.max_gaussians)[0]

@@ -19,6 +19,7 @@ from ...util.reading import read_json
 from ..core.costs import longer, rooms
 from ..core.presets import LENGTHS, WARM_START
 from ..core.settings import Settings, from_dict
+from ..core.spans import spans
 from . import checkpoint
 from .files import CHECKPOINT, LOG, MODEL, PLOT, PREVIEWS, REFINED, REPORT, RUN, SEGMENTS, SO_FAR, STATUS
 from .folder import release, take
@@ -145,7 +146,6 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     named  the settings that were asked for by name, which stay
     """
     from ..initial.warm_start import begins_with_model, following
-    from .segments import spans
 
     if not begins_with_model(capture, settings):
         first = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)[0]

@@ -1,55 +1,26 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Cuts long captures into overlapping segments of equal length, which are trained separately, and joins their models into one clip.
+"""Joins the models of a long capture's segments (core/spans.py) into one clip.
 
 All segments share the first one's decoder, so that their Gaussians can be blended in one picture (joining.py).
 """
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import partial
 from itertools import pairwise
 
 import numpy as np
 
-from ...captures.capture import Capture
 from ...model.chapters import Chapters
 from ...model.cutting import cut, same_rows
 from ...model.gaussians import Clip, GaussianModel
 from ...model.joining import FOREVER, Segment, join
 from ...model.motion import Static
 from ...model.surroundings import Surroundings, together
-from ..core.settings import Settings
+from ..core.spans import Span
 from ..initial.continued import stands
 
 FLANK = 2.36
 """Widths of a flank after which the most opaque Gaussian is no longer drawn: exp(-d^2) = 1 / 255."""
-
-
-@dataclass(frozen=True)
-class Span:
-    """Frames first .. first + count - 1 of a capture."""
-
-    first: int
-    count: int
-
-
-def spans(frame_count: int, segment_frames: int, overlap: int) -> list[Span]:
-    """The segments of a clip: all equally long, at most segment_frames, each sharing at least `overlap` frames (0: none) with the next.
-
-    One span where the clip is no longer than a segment, or segment_frames is 0.
-    """
-    if not segment_frames or frame_count <= segment_frames:
-        return [Span(0, frame_count)]
-    overlap = min(overlap, segment_frames - 1)
-    number = -(-(frame_count - overlap) // (segment_frames - overlap))
-    count = min(-(-(frame_count + (number - 1) * overlap) // number), segment_frames)
-    firsts = np.floor(np.linspace(0, frame_count - count, number) + 0.5).astype(int)
-    return [Span(int(first), count) for first in firsts]
-
-
-def steps_of(capture: Capture, settings: Settings) -> int:
-    """Steps of a whole run, in all its segments."""
-    cuts = spans(capture.clip.frame_count, settings.segment_frames, settings.segment_overlap)
-    return sum(settings.of_segment(k).iterations for k in range(len(cuts)))
 
 
 def joined_clip(load: Callable[[int], GaussianModel], cuts: list[Span], clip: Clip, provenance: dict[str, str]) -> Chapters:

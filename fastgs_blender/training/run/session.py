@@ -28,6 +28,7 @@ from ...util.reading import read_json
 from ..core import camera_response, camera_turns
 from ..core.measure import measure
 from ..core.processes import Processes
+from ..core.spans import Span, spans
 from ..core.state import LONGEST, is_number
 from ..core.trainer import Trainer
 from ..initial.continued import freeze_still, start_after
@@ -40,7 +41,7 @@ from .files import CHECKPOINT, MODEL, REFINED, REPORT, SEGMENT_DONE, SEGMENT_MOD
 from .folder import release, take
 from .plan import Plan
 from .progress import Reporter
-from .segments import Span, joined_clip, spans
+from .segments import joined_clip
 from .stopping import StopFlag, Stopped
 
 PREVIEW_SHOTS = 4

@@ -155,6 +155,8 @@ def test_estimates_grow_with_the_work(module):
     assert costs.size_of('DRAFT') == (2500, 20_000) and costs.size_of('FINAL', 10, 20) == (10, 20)
     assert costs.size_of('DRAFT', pixels=5e6) == (2500, 40_000) and costs.size_of('STG', pixels=5e6) == costs.size_of('STG')
     assert costs.size_of('DRAFT', frames=150) == (3750, 20_000) and costs.size_of('DRAFT', 10, frames=150)[0] == 10
+    # three segments of 139 frames, of which the later ones take half of the steps
+    assert costs.size_of('DRAFT', frames=400) == (3475 + 2 * 1738, 20_000)
     small, large = costs.estimate(320 * 240, 2500, 20_000), costs.estimate(1920 * 1080, 30_000, 150_000)
     assert 30 < small[0] < large[0] and small[1] < large[1]
 

@@ -13,7 +13,8 @@ from toy_captures import toy_capture
 import fastgs_blender as fg
 from fastgs_blender.captures.capture import Points
 from fastgs_blender.training.core import settings
-from fastgs_blender.training.run.segments import Span, joined_clip, spans
+from fastgs_blender.training.core.spans import Span, spans
+from fastgs_blender.training.run.segments import joined_clip
 
 
 @given(st.integers(1, 2000), st.integers(4, 300), st.integers(0, 20))
