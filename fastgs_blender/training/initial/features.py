@@ -98,20 +98,21 @@ def matches(a: Features, b: Features, within: float = ON_LINE) -> np.ndarray:
     if np.isfinite(within):
         lines = np.c_[a.places, np.ones(len(a.places))] @ fundamental(a.camera, b.camera).T
         lines /= np.maximum(np.linalg.norm(lines[:, :2], axis=1, keepdims=True), 1e-12)
-        away = np.abs(lines @ np.c_[b.places, np.ones(len(b.places))].T)
-        likeness = np.where(away < within, likeness, -1)
+        away = lines.astype(np.float32) @ np.c_[b.places, np.ones(len(b.places))].T.astype(np.float32)
+        np.copyto(likeness, np.float32(-1), where=np.abs(away, out=away) >= within)
     best = likeness.argmax(1)
     rows = np.arange(len(best))
     top = likeness[rows, best]
-    mutual = likeness.argmax(0)[best] == rows
+    mutual = top == likeness.max(0)[best]
     likeness[rows, best] = -1
     # A second orientation of the same feature is no rival.
     rival = likeness.argmax(1)
     same = np.linalg.norm(b.places[rival] - b.places[best], axis=1) < 0.5
     likeness[rows[same], rival[same]] = -1
     distance, next_distance = (np.sqrt(np.maximum(2 - 2 * value, 0)) for value in (top, likeness.max(1)))
-    good = mutual & (top > ALIKE) & (distance < RATIO * next_distance)
-    return np.stack([rows[good], best[good]], 1)
+    good = np.flatnonzero(mutual & (top > ALIKE) & (distance < RATIO * next_distance))
+    good = good[np.sort(np.unique(best[good], return_index=True)[1])]  # of equal ones, the first
+    return np.stack([good, best[good]], 1)
 
 
 def neighbours(cameras: Iterable[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
@@ -136,9 +137,9 @@ def tracks(features: list[Features], within: float = ON_LINE, count: int | None 
     within  see matches();  count: each picture is compared with so many neighbours; None: with all
     """
     near = neighbours([f.camera for f in features], len(features) if count is None else count)
-    pairs = (((i, int(p)), (j, int(q))) for i, j in near for p, q in matches(features[i], features[j], within))
+    pairs = [((i, p), (j, q)) for i, j in near for p, q in matches(features[i], features[j], within).tolist()]
     found = []
-    for group in groups.joined(((k, n) for k, f in enumerate(features) for n in range(len(f.places))), pairs):
+    for group in groups.joined(sorted({feature for pair in pairs for feature in pair}), pairs):
         pictures = [picture for picture, _ in group]
         once = [entry for entry in group if pictures.count(entry[0]) == 1]
         if len(once) >= 2:
