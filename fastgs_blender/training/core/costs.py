@@ -8,8 +8,9 @@ from .settings import settings as make
 from .spans import spans, steps_of
 
 BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
-STEP, PIXEL, GAUSSIAN = 0.015, 2.4e-7, 2.2e-6
-"""Seconds for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of 2026."""
+START, STEP, PIXEL, GAUSSIAN = 50.0, 0.003, 4.8e-7, 6.8e-7
+"""Seconds for cameras and starting points, for a step, and more for each pixel and Gaussian, on two cores: fitted to runs on a machine of
+2026 (the kitchen, the room and the basketball) beside other programs."""
 CORES = 2
 ROOM, MOST_ROOMS = 2.5e6, 3.0
 """Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
@@ -47,6 +48,6 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0) ->
     pixels    of a picture; pictures: how many there are, 0: very many
     """
     cores = max(os.cpu_count() or 1, 1)
-    seconds = iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
+    seconds = START * CORES / cores + iterations * (STEP + (0.85 * PIXEL * pixels + 0.7 * GAUSSIAN * gaussians) * CORES / cores)
     cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
     return seconds, BASE_MEMORY + cached + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
