@@ -13,6 +13,7 @@ from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
 from fastgs_blender.training.core import settings
+from fastgs_blender.training.core.spans import spans
 from fastgs_blender.training.run import plan, segments, session
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -75,7 +76,7 @@ def test_joining_reads_one_segment_after_another(rng, make_model, tmp_path):
     from weakref import WeakSet
 
     models, held, most, reads = WeakSet(), count(), [0], []
-    cuts = segments.spans(200, 8, 2)
+    cuts = spans(200, 8, 2)
     first = make_model(rng, 40, "cosine", "line", "radial", "sigmoid")
 
     def load(i):
