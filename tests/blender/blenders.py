@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
 
-from held_runs import GUARD
+from held_runs import GUARD, HOOK
 
 HERE = Path(__file__).resolve().parent
 SHARED = "held_runs", "windows_rules"
@@ -86,6 +86,7 @@ class User:
         """
         for file in (*HERE.glob("*.py"), HERE / "window.sh", *(HERE.parent / "shared" / f"{name}.py" for name in SHARED)):
             shutil.copy(file, self.folder)
+        shutil.copytree(HOOK, self.folder / HOOK.name, dirs_exist_ok=True)
         given, answer = f"{name}-arguments.json", f"{name}-answer.json"
         (self.folder / given).write_text(json.dumps(facts))
         (self.folder / answer).unlink(missing_ok=True)

@@ -11,7 +11,7 @@ GUARD = 600.0
 """Seconds after which a test that waits gives up.  Only a guard against hanging: no test is right or wrong by it.  What hangs is tried
 once more in what CI has left."""
 
-HOOK = Path(__file__).parent / "held"
+HOOK = Path(__file__).resolve().parent / "held"
 """On PYTHONPATH it makes a process wait."""
 
 
