@@ -157,7 +157,7 @@ def test_what_is_there_is_not_overwritten(files, finished):
     result = fastgs(*arguments(files, out))
     assert result.returncode == 2 and "--resume" in result.stderr and (out / "model.safetensors").read_bytes() == before
     result = fastgs(*arguments(files, out, "--resume", "--order", 2))
-    assert result.returncode == 2 and "order = 0, not 2" in result.stderr
+    assert result.returncode == 2 and "order = 0, not 2" in " ".join(result.stderr.split())  # lines end where the path's length puts it
     result = fastgs(*arguments(files, out, "--resume"))
     assert result.returncode == 0 and (out / "model.safetensors").read_bytes() == before
 
