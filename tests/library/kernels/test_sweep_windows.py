@@ -1,9 +1,9 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Differences of a plane sweep: means over windows that a picture's borders cut off, and over the better half of the pictures."""
+"""Differences of a plane sweep: of single pixels, means over windows that borders cut off, and over the better half of the pictures."""
 import numpy as np
 import pytest
 
-from fastgs_blender.kernels.cpu.initial import averaged, better_half
+from fastgs_blender.kernels.cpu.initial import averaged, better_half, sweep
 
 
 @pytest.mark.parametrize(("height", "width", "reach"), [(7, 9, 2), (12, 33, 5), (5, 3, 5), (1, 8, 2), (4, 4, 0)])
@@ -23,3 +23,22 @@ def test_the_better_half_of_the_pictures_counts(number):
         half = max((np.count_nonzero(column < 0.5) + 1) // 2, min((number + 1) // 2, 2))
         expected.append(np.sort(column)[:half].mean(dtype=np.float64))
     np.testing.assert_allclose(better_half(costs, np.float32(0.5), np.empty(700, np.float32)), expected, rtol=1e-6)
+
+
+def test_a_pixel_is_compared_with_what_lies_between_four_of_the_other_picture():
+    rng = np.random.default_rng(3)
+    image, other = rng.uniform(0, 1, (6, 9, 3)).astype(np.float32), rng.uniform(0, 1, (7, 8, 3)).astype(np.float32)
+    turn, shift = np.array([[0.9, 0.02, 0.3], [-0.03, 1.1, 0.2], [0.001, 0.0, 1.0]]), np.array([1.5, -0.7, 0.1])
+    planes = np.array([[0.0, 0.0, 0.2], [0.01, -0.02, 0.8], [0.0, 0.0, -1.0]])  # the last one lies behind the camera
+    expected = np.ones((3, 6, 9))
+    for d, row, column in np.ndindex(expected.shape):
+        pixel = np.array([column + 0.5, row + 0.5, 1.0])
+        near = planes[d] @ pixel
+        x, y, w = turn @ pixel + shift * near
+        x, y = x / w - 0.5, y / w - 0.5
+        if near > 0 and 0 <= x < 7 and 0 <= y < 6:
+            i, j = int(y), int(x)
+            upper, lower = (other[k, j] * (1 - x % 1) + other[k, j + 1] * (x % 1) for k in (i, i + 1))
+            expected[d, row, column] = np.abs(upper * (1 - y % 1) + lower * (y % 1) - image[row, column]).mean()
+    assert 60 < (expected < 1).sum() < 108 and (expected[2] == 1).all()
+    np.testing.assert_allclose(sweep(image, [(other, turn, shift)], planes, 1.0, 0), expected, atol=2e-6)
