@@ -310,6 +310,14 @@ class TrainingBackend(PictureBackend, Protocol):
         outside  the difference where another picture ends
         """
 
+    def vote(self, xyz: np.ndarray, rgb: np.ndarray, camera: Camera, image: np.ndarray, depth: np.ndarray, cost: np.ndarray, near: float,
+             alike: float, sure: float, agree: np.ndarray, against: np.ndarray) -> None:
+        """Count [P] whether a picture [h, w, 3] with depths and their costs [h, w] agrees with points and colours [P, 3], or is against.
+
+        depth / z - 1 is less than `near`: it agrees if the mean difference of colour is less than `alike`, else it is against; more than
+        twice `near`, at a cost less than `sure`: it is against, as it sees through the point
+        """
+
     def resample(self, image: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y in its pixels, centres at +0.5):
         [h, w, C]; 0 outside."""

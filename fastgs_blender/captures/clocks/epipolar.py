@@ -178,10 +178,10 @@ def _rays(camera: Camera) -> np.ndarray:
 def _seen_by(other: Camera, centre: np.ndarray, rays: np.ndarray, depths: np.ndarray) -> np.ndarray:
     """Whether another camera has a point of each ray [pixels, 3] in its picture."""
     turn, place = other.world_to_camera[:3, :3], other.world_to_camera[:3, :3] @ centre + other.world_to_camera[:3, 3]
-    turned = rays @ turn.T
+    turned = turn @ rays.T
     seen = np.zeros(len(rays), bool)
     for depth in depths:
-        x, y, z = (place + depth * turned).T
+        x, y, z = place[:, None] + depth * turned
         u, v = other.fx * x + (other.cx * z), other.fy * y + other.cy * z
         seen |= (z > 0) & (u >= 0) & (u < other.width * z) & (v >= 0) & (v < other.height * z)
     return seen

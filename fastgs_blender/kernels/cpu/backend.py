@@ -97,7 +97,7 @@ class CPU:
     affine_weights, weighted_sums = staticmethod(carrying.affine_weights), staticmethod(carrying.weighted_sums)
     places, support, smoothed = staticmethod(carrying.places), staticmethod(carrying.support), staticmethod(carrying.smoothed)
     project_points = staticmethod(initial.project_points)
-    sweep = staticmethod(initial.sweep)
+    sweep, vote = staticmethod(initial.sweep), staticmethod(initial.vote)
     resample = staticmethod(resample.resample)
 
     def measure_stages(self, instance, camera, repeat):

@@ -37,17 +37,68 @@ def projected(xyz, matrix, fx, fy, cx, cy, places, depths):
         places[i, 1] = fy * y / z + cy
 
 
+def vote(xyz: np.ndarray, rgb: np.ndarray, camera, image: np.ndarray, depth: np.ndarray, cost: np.ndarray, near: float, alike: float,
+         sure: float, agree: np.ndarray, against: np.ndarray) -> None:
+    """TrainingBackend.vote()."""
+    asserts.vote(xyz, rgb, image, depth, cost, agree, against)
+    lens = float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy)
+    places, depths = np.empty((BLOCK, 2)), np.empty(BLOCK)
+    voted(np.asarray(xyz, np.float64), np.asarray(rgb, np.float64), np.asarray(camera.world_to_camera, np.float64), lens, image,
+          np.asarray(depth, np.float64), cost, near, 3 * alike, sure, agree, against, places, depths)
+
+
+@kernel
+def voted(xyz, rgb, matrix, lens, image, depth, cost, near, alike, sure, agree, against, places, depths):
+    """vote(), by blocks of points whose places [B, 2] and depths [B] are scratch; alike: the sum of three differences."""
+    height, width = depth.shape
+    for first in range(0, len(xyz), len(places)):
+        points = xyz[first:first + len(places)]
+        projected(points, matrix, lens[0], lens[1], lens[2], lens[3], places, depths)
+        for i in range(len(points)):
+            x, y, z = places[i, 0], places[i, 1], depths[i]
+            if not (z > 0 and x > 0 and y > 0 and x < width and y < height):
+                continue
+            row, column = int(y), int(x)
+            ratio, apart = depth[row, column] / max(z, 1e-12), 0.0
+            for k in range(3):
+                apart += abs(image[row, column, k] - rgb[first + i, k])
+            if abs(ratio - 1) < near:
+                if apart < alike:
+                    agree[first + i] += 1
+                else:
+                    against[first + i] += 1
+            elif ratio > 1 + 2 * near and cost[row, column] < sure:
+                against[first + i] += 1
+
+
 def sweep(image: np.ndarray, others, planes: np.ndarray, outside: float, reach: int) -> np.ndarray:
     """TrainingBackend.sweep()."""
     asserts.sweep(image, others, planes)
-    h, w = image.shape[:2]
-    costs = np.empty((len(others), len(planes), h, w), np.float32)
-    image, *pictures = (np.pad(each, ((0, 0), (0, 0), (0, 1))) for each in (image, *(other for other, _, _ in others)))
-    for cost, other, (_, *between) in zip(costs, pictures, others):
-        differences(image, other, *(np.asarray(values, np.float32) for values in (*between, planes)), np.float32(outside), cost)
-        averaged(cost, reach, np.empty((h, w), np.float32))
-    out = np.empty(costs[0].size, np.float32)
-    return better_half(costs.reshape(len(others), -1), np.float32(outside / 2), out).reshape(costs.shape[1:])
+    high, wide = (max(other.shape[k] for other, _, _ in others) for k in (0, 1))
+    pictures = np.zeros((len(others), high, wide, 4), np.float32)
+    for picture, (other, _, _) in zip(pictures, others):
+        picture[:other.shape[0], :other.shape[1], :3] = other
+    sizes = np.array([other.shape[:2] for other, _, _ in others])
+    turns, shifts = (np.array([other[k] for other in others], np.float32) for k in (1, 2))
+    out = np.empty((len(planes), *image.shape[:2]), np.float32)
+    image, planes = np.pad(image, ((0, 0), (0, 0), (0, 1))), np.asarray(planes, np.float32)
+    swept(image, pictures, sizes, turns, shifts, planes, np.float32(outside), reach, out)
+    return out
+
+
+@kernel
+def swept(image, pictures, sizes, turns, shifts, planes, outside, reach, out):
+    """sweep() into out [D, h, w], plane by plane, so that a plane's differences stay in the processor's cache.
+
+    image [h, w, 4];  pictures [O, ., ., 4], of which sizes [O, 2] are the others' heights and widths;  turns [O, 3, 3];  shifts [O, 3]
+    """
+    height, width = image.shape[:2]
+    costs, scratch = np.empty((len(pictures), height, width), np.float32), np.empty((height, width), np.float32)
+    for d in range(len(planes)):
+        for k in range(len(pictures)):
+            differences(image, pictures[k], sizes[k], turns[k], shifts[k], planes[d:d + 1], outside, costs[k:k + 1])
+            averaged(costs[k:k + 1], reach, scratch)
+        better_half(costs.reshape(len(pictures), height * width), outside / float32(2), out[d].reshape(height * width))
 
 
 @intrinsic
@@ -78,14 +129,15 @@ def colour_difference(context, pixels, at, row, across, down, image, place):
 
 
 @kernel
-def differences(image, other, turn, shift, planes, outside, out):
-    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 4] and other [., ., 4], were its surface on each plane [D, 3].
+def differences(image, other, size, turn, shift, planes, outside, out):
+    """out [D, h, w]: mean absolute difference of the colours of image [h, w, 4] and other [., ., 4], whose height and width are `size`,
+    were its surface on each plane [D, 3].
 
     The pixel (u, v) has the inverse depth plane @ (u, v, 1); turn [3, 3], shift [3]: at depth z it is seen by the other camera at
     turn @ (u, v, 1) z + shift (homogeneous).  outside: the difference where the other picture ends, or the plane lies behind a camera.
     """
     height, width = image.shape[:2]
-    right, bottom, row = float32(other.shape[1] - 1), float32(other.shape[0] - 1), np.int32(other.shape[1])
+    right, bottom, row = float32(size[1] - 1), float32(size[0] - 1), np.int32(other.shape[1])
     half, third = float32(0.5), float32(1 / 3)
     pixels, mine = other.reshape(-1, 4), image.reshape(-1, 4)
     at, across, down = np.empty(width, np.int32), np.empty(width, np.float32), np.empty(width, np.float32)
@@ -114,28 +166,36 @@ def differences(image, other, turn, shift, planes, outside, out):
 def averaged(cost, reach, row):
     """Means of cost [D, h, w] over (2 reach + 1)^2 pixels, in place; row [h, w] is scratch."""
     planes, height, width = cost.shape
+    line, across = np.zeros(width + 2 * reach, np.float32), np.empty(width, np.float32)
+    for j in range(width):
+        across[j] = min(j + reach, width - 1) - max(j - reach, 0) + 1
     for d in range(planes):
         for i in range(height):
-            sums, line = row[i], cost[d, i]
+            sums, mine = row[i], cost[d, i]
+            inner = line[reach:reach + width]
             for j in range(width):
-                sums[j] = 0
-            for step in range(-reach, reach + 1):
-                first = max(-step, 0)
-                last = max(first, min(width - step, width))
-                to, by = sums[first:last], line[first + step:last + step]  # whose indices are never negative, so that LLVM uses vectors
-                for j in range(len(to)):
-                    to[j] += by[j]
+                inner[j] = mine[j]
+            for j in range(width):
+                sums[j] = line[j]
+            for k in range(1, 2 * reach, 2):  # slices have no negative indices, so that LLVM uses vectors
+                one, two = line[k:k + width], line[k + 1:k + 1 + width]
+                for j in range(width):
+                    sums[j] += one[j] + two[j]
         for i in range(height):
             low, high = max(i - reach, 0), min(i + reach, height - 1)
-            means = cost[d, i]
+            means, down, first = cost[d, i], float32(high - low + 1), row[low]
             for j in range(width):
-                means[j] = 0
-            for k in range(low, high + 1):
-                sums = row[k]
+                means[j] = first[j]
+            for k in range(low + 1, high, 2):
+                one, two = row[k], row[k + 1]
                 for j in range(width):
-                    means[j] += sums[j]
+                    means[j] += one[j] + two[j]
+            if (high - low) % 2:
+                one = row[high]
+                for j in range(width):
+                    means[j] += one[j]
             for j in range(width):
-                means[j] /= (high - low + 1) * (min(j + reach, width - 1) - max(j - reach, 0) + 1)
+                means[j] /= down * across[j]
 
 
 BLOCK = 256

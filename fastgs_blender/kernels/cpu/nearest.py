@@ -75,25 +75,34 @@ def among_leaves(points, order, ends, index, squared, first, last):
     """Take nearer neighbours from the leaves first..last into index and squared [P, count], which are sorted by distance."""
     count, width = index.shape[1], points.shape[1]
     for cell in range(first, last):
-        begin, end = ends[cell], ends[cell + 1]
-        inside = np.empty((end - begin, width), np.float32)
-        for i in range(begin, end):
-            inside[i - begin] = points[order[i]]
-        for i in range(end - begin):
+        begin, number = ends[cell], ends[cell + 1] - ends[cell]
+        inside, apart = np.empty((width, number), np.float32), np.empty(number, np.float32)
+        for i in range(number):
+            for k in range(width):
+                inside[k, i] = points[order[begin + i], k]
+        for i in range(number):
             row = order[begin + i]
-            for j in range(end - begin):
-                distance = np.float32(0)
-                for k in range(width):
-                    distance += (inside[i, k] - inside[j, k]) ** 2
-                if i == j or not (distance < squared[row, count - 1]):
+            nearest, others = squared[row], index[row]
+            new = others[0] < 0  # nothing is known from another tree
+            for j in range(number):
+                apart[j] = 0
+            for k in range(width):
+                line, mine = inside[k], inside[k, i]
+                for j in range(number):
+                    apart[j] += (line[j] - mine) ** 2
+            farthest = nearest[count - 1]
+            for j in range(number):
+                if i == j or not (apart[j] < farthest):
                     continue
-                other, known = order[begin + j], False
-                for k in range(count):
-                    known = known or index[row, k] == other
+                distance, other, known = apart[j], order[begin + j], False
+                if not new:
+                    for k in range(count):
+                        known = known or others[k] == other
                 if known:
                     continue
                 place = count - 1
-                while place > 0 and squared[row, place - 1] > distance:
-                    squared[row, place], index[row, place] = squared[row, place - 1], index[row, place - 1]
+                while place > 0 and nearest[place - 1] > distance:
+                    nearest[place], others[place] = nearest[place - 1], others[place - 1]
                     place -= 1
-                squared[row, place], index[row, place] = distance, other
+                nearest[place], others[place] = distance, other
+                farthest = nearest[count - 1]

@@ -16,13 +16,14 @@ from ...captures.capture import Capture, Points, Shot, by_view
 from ...captures.gains import gains_of
 from ...captures.pixels.store import Pixels
 from ...training.core.settings import Settings
+from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
 from ..core.moving_pixels import stands
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, planes, still, sweep
-from .geometry import project, sample, visible, within
+from .geometry import project, sample, visible
 from .neighbours import neighbour_distance
 from .velocity import in_motion
 
@@ -134,8 +135,9 @@ def _features(capture: Capture, store: Any, settings: Settings, moments: list[li
             good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
             found.append(features.Features(places[good], descriptors[good], camera))
         xyz, seen_by = features.triangulated(found, 2 if few else min(len(shots), 3))
-        for point, views in zip(xyz, seen_by):
-            looks.append({shots[k].view: sample(pictures[k][0], project(pictures[k][1], point[None])[0])[0] for k in views})
+        shown = [sample(image, project(camera, xyz)[0]) for image, camera, _ in pictures]
+        for row, (point, views) in enumerate(zip(xyz, seen_by)):
+            looks.append({shots[k].view: shown[k][row] for k in views})
             rays = np.array([pictures[k][1].centre for k in views]) - point
             mean = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).sum(0)
             toward.append(mean / max(np.linalg.norm(mean), 1e-12))
@@ -186,20 +188,12 @@ def votes(cloud: Points, pictures: Sequence[tuple], depths: Sequence[Any], few: 
     A picture in which something is before the point says nothing.  few: one whose neighbours nowhere look alike there says nothing either,
     for with few cameras that is often because none of them shows the place.
     """
-    agree, against = np.zeros((2, len(cloud)), np.int64)
+    found = np.zeros((2, len(cloud)), np.int64)
     for (image, camera, _), its in zip(pictures, depths):
-        if its is None:
-            continue
-        places, z = project(camera, cloud.xyz)
-        depth, cost = sample(np.stack([its.depth, its.cost], -1), places).T
-        ratio = depth / np.maximum(z, 1e-12)
-        there = np.abs(ratio - 1) < sweep.AGREE
-        alike = np.abs(sample(image, places) - cloud.rgb).mean(1) < STEADY
-        seen = within(camera, places, z)
-        agree += seen & there & alike
-        through = (ratio > 1 + 2 * sweep.AGREE) & (cost < (sweep.ALIKE if few else np.inf))
-        against += seen & (through | (there & ~alike))
-    return np.stack([agree, against])
+        if its is not None:
+            load_backend("cpu").vote(cloud.xyz, cloud.rgb, camera, image, its.depth, its.cost, sweep.AGREE, STEADY,
+                                     sweep.ALIKE if few else np.inf, *found)
+    return found
 
 
 def drawn(points: Points, most: int, seed: int, *key: int) -> Points:

@@ -6,6 +6,7 @@ the same points in every run.
 """
 import signal
 import threading
+from collections import Counter
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from types import ModuleType
@@ -140,8 +141,8 @@ def tracks(features: list[Features], within: float = ON_LINE, count: int | None 
     pairs = [((i, p), (j, q)) for i, j in near for p, q in matches(features[i], features[j], within).tolist()]
     found = []
     for group in groups.joined(sorted({feature for pair in pairs for feature in pair}), pairs):
-        pictures = [picture for picture, _ in group]
-        once = [entry for entry in group if pictures.count(entry[0]) == 1]
+        often = Counter(picture for picture, _ in group)
+        once = [entry for entry in group if often[entry[0]] == 1]
         if len(once) >= 2:
             found.append(once)
     return found
@@ -150,26 +151,31 @@ def tracks(features: list[Features], within: float = ON_LINE, count: int | None 
 def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray, list[list[int]]]:
     """Points [P, 3] of the tracks, and the pictures of each: in front of them, within ON_LINE of its features, at a wide enough angle."""
     pycolmap = pycolmap_module()
-    poses = [f.camera.world_to_camera[:3] for f in features]
-    inverse = [np.linalg.inv(matrix(f.camera)) for f in features]
-    centres = np.array([-pose[:, :3].T @ pose[:, 3] for pose in poses])
+    poses = np.array([f.camera.world_to_camera[:3] for f in features])
+    lenses = np.array([matrix(f.camera) for f in features])
+    centres = np.array([f.camera.centre for f in features])
+    rays = [np.c_[f.places, np.ones(len(f.places))] @ np.linalg.inv(lens).T for f, lens in zip(features, lenses)]
+    rays = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays]
     points, seen_by = [], []
     for track in tracks(features, count=NEIGHBOURS):
-        while len(track) >= least_views:
-            rays = np.array([inverse[k] @ (*features[k].places[n], 1.0) for k, n in track])
-            rays /= np.linalg.norm(rays, axis=1, keepdims=True)
-            point = pycolmap.triangulate_multi_view_point([poses[k] for k, _ in track], rays)
+        pictures = np.array([k for k, _ in track])
+        toward, places = (np.array([each[k][n] for k, n in track]) for each in (rays, [f.places for f in features]))
+        while len(pictures) >= least_views:
+            point = pycolmap.triangulate_multi_view_point(list(poses[pictures]), toward)
             if point is None:
                 break
             point = np.ravel(point)
-            errors = np.array([reprojection(features[k], n, poses[k], point) for k, n in track])
+            local = poses[pictures] @ [*point, 1.0]
+            seen = np.einsum("nij,nj->ni", lenses[pictures], local)
+            with np.errstate(divide="ignore", invalid="ignore"):
+                errors = np.where(local[:, 2] > 0, np.linalg.norm(seen[:, :2] / seen[:, 2:] - places, axis=1), np.inf)
             if errors.max() < ON_LINE:
-                pictures = [k for k, _ in track]
                 if widest_angle(centres[pictures] - point) > LEAST_ANGLE:
                     points.append(point)
-                    seen_by.append(pictures)
+                    seen_by.append(pictures.tolist())
                 break
-            track = [entry for entry, error in zip(track, errors) if error < errors.max()]
+            better = errors < errors.max()
+            pictures, toward, places = pictures[better], toward[better], places[better]
     return np.array(points).reshape(-1, 3), seen_by
 
 

@@ -55,6 +55,7 @@ def contrasts(image: np.ndarray) -> np.ndarray:
 def _mean(image: np.ndarray) -> np.ndarray:
     """Means of an image [h, w, C] over the surroundings of each pixel; beyond the borders these repeat."""
     for axis in (0, 1):
-        padded = np.pad(image, [(AROUND, AROUND) if k == axis else (0, 0) for k in range(3)], "edge")
-        image = np.lib.stride_tricks.sliding_window_view(padded, 2 * AROUND + 1, axis).mean(-1)
+        padded = np.pad(image, [(AROUND + 1, AROUND) if k == axis else (0, 0) for k in range(3)], "edge")
+        sums = np.moveaxis(padded.cumsum(axis, np.float64), axis, 0)
+        image = np.moveaxis((sums[2 * AROUND + 1:] - sums[:-2 * AROUND - 1]) / (2 * AROUND + 1), 0, axis)
     return image

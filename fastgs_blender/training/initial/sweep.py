@@ -12,7 +12,7 @@ import numpy as np
 from ...util import threads
 from ...util.backends import load_backend
 from .features import matrix
-from .geometry import project, sample, unproject, within
+from .geometry import unproject
 
 DEPTHS = 96
 """Planes, evenly spread in inverse depth."""
@@ -111,13 +111,11 @@ def surfaces(pictures: Sequence[tuple], found: list[Depths | None], witnesses: i
         row, column = np.nonzero((depths.cost < alike) & (depths.range < VAGUE) & (True if inside is None else inside > 0.5))
         places = np.stack([column, row], 1) + 0.5
         points = unproject(camera, places, depths.depth[row, column])
-        agreeing = np.zeros(len(points), np.int64)
-        for i, ((_, other, _), its) in enumerate(zip(pictures, found)):
-            if i == k or its is None:
-                continue
-            seen, z = project(other, points)
-            agreeing += within(other, seen, z) & (np.abs(sample(its.depth[..., None], seen)[:, 0] / np.maximum(z, 1e-12) - 1) < AGREE)
-        good = agreeing >= max(others_needed, 1)
-        clouds.append((points[good], image[row, column][good]))
+        colours, votes = image[row, column], np.zeros((2, len(points)), np.int64)
+        for i, ((shown, other, _), its) in enumerate(zip(pictures, found)):
+            if i != k and its is not None:
+                load_backend("cpu").vote(points, colours, other, shown, its.depth, its.cost, AGREE, np.inf, 0.0, *votes)
+        good = votes[0] >= max(others_needed, 1)
+        clouds.append((points[good], colours[good]))
     return clouds
 

@@ -52,7 +52,7 @@ def displacements(cloud: Points, other: Points) -> np.ndarray:
     step = np.zeros_like(xyz)
     for company, colour in ROUNDS:
         found = _nearest(np.concatenate([xyz + step, colour * some.rgb], 1), np.concatenate([goal, colour * there.rgb], 1), 1)[:, 0]
-        step = np.median((goal[found] - xyz)[beside[:, :company]], axis=1)
+        step = np.median((goal[found] - xyz).T[:, beside[:, :company]], axis=2).T
     return step[_nearest(cloud.xyz / unit, xyz, 1)[:, 0]] * unit
 
 

@@ -14,7 +14,7 @@ from fastgs_blender.util.backends import load_backend
 
 METHODS = frozenset(name for name in dir(TrainingBackend) if not name.startswith("_"))
 ON_HOST = {"numpy", "read", "begin_step", "end_step", "front_to_back", "thinnest", "posed", "contributing",
-           "nearest", "project_points", "sweep", "resample", "measure_stages"}
+           "nearest", "project_points", "sweep", "vote", "resample", "measure_stages"}
 """Methods whose results are NumPy's."""
 
 

@@ -1,9 +1,11 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Differences of a plane sweep: of single pixels, means over windows that borders cut off, and over the better half of the pictures."""
+"""Differences of a plane sweep: of single pixels, means over windows that borders cut off, and over the better half of the pictures; and
+which pictures agree with a point."""
 import numpy as np
 import pytest
 
-from fastgs_blender.kernels.cpu.initial import averaged, better_half, sweep
+import fastgs_blender as fg
+from fastgs_blender.kernels.cpu.initial import averaged, better_half, project_points, sweep, vote
 
 
 @pytest.mark.parametrize(("height", "width", "reach"), [(7, 9, 2), (12, 33, 5), (5, 3, 5), (1, 8, 2), (4, 4, 0)])
@@ -42,3 +44,22 @@ def test_a_pixel_is_compared_with_what_lies_between_four_of_the_other_picture():
             expected[d, row, column] = np.abs(upper * (1 - y % 1) + lower * (y % 1) - image[row, column]).mean()
     assert 60 < (expected < 1).sum() < 108 and (expected[2] == 1).all()
     np.testing.assert_allclose(sweep(image, [(other, turn, shift)], planes, 1.0, 0), expected, atol=2e-6)
+
+
+@pytest.mark.parametrize("sure", [np.inf, 0.5])
+def test_a_picture_agrees_with_points_or_is_against_them(sure):
+    rng, count = np.random.default_rng(5), 700
+    pose = np.eye(4)
+    pose[:3, 3] = 0.1, -0.2, 0.3
+    camera = fg.Camera(12, 9, 10.0, 11.0, 6.0, 4.5, pose)
+    image, cost = rng.uniform(0, 1, (9, 12, 3)).astype(np.float32), rng.uniform(0, 1, (9, 12)).astype(np.float32)
+    depth, xyz, rgb = rng.uniform(1.5, 3, (9, 12)), rng.uniform((-2, -2, -1), (2, 2, 4), (count, 3)), rng.uniform(0, 1, (count, 3))
+    places, z = project_points(xyz, camera)
+    seen = (z > 0) & ((places > 0) & (places < (12, 9))).all(1)
+    column, row = np.where(seen[:, None], places, 0).astype(int).T
+    ratio, alike = depth[row, column] / z, np.abs(image[row, column] - rgb).mean(1) < 0.3
+    there = seen & (np.abs(ratio - 1) < 0.2)
+    against = (there & ~alike) | (seen & (ratio > 1.4) & (cost[row, column] < sure))
+    found = np.ones((2, count), int)
+    vote(xyz, rgb, camera, image, depth, cost, 0.2, 0.3, sure, *found)
+    assert 10 < (there & alike).sum() < against.sum() and np.array_equal(found - 1, [there & alike, against])

@@ -61,6 +61,9 @@ def calls(backend, make_model, rng):
         "nearest": {"points": rng.normal(size=(9, 3)), "turns": [np.eye(3)], "count": 2, "leaf": 4},
         "project_points": {"xyz": rng.normal(size=(9, 3)), "camera": CAMERA},
         "sweep": {"image": image, "others": [(other, np.eye(3), np.zeros(3))], "planes": np.ones((2, 3)), "outside": 1.0, "reach": 1},
+        "vote": {"xyz": rng.normal(size=(9, 3)), "rgb": np.ones((9, 3)), "camera": CAMERA, "image": image, "depth": image[..., 0].copy(),
+                 "cost": image[..., 0].copy(), "near": 0.1, "alike": 0.1, "sure": 1.0,
+                 "agree": np.zeros(9, int), "against": np.zeros(9, int)},
         "resample": {"image": image, "positions": np.ones((4, 5, 2), np.float32)},
     }
 
