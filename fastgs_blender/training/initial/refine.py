@@ -6,7 +6,7 @@ Every fifth track is held back.  A refined camera is taken where the features th
 Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
 """
 import json
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
@@ -36,6 +36,8 @@ MOST_FEATURES = 2500
 """In one picture."""
 LEAST_VIEWS, ENOUGH, MOST = 3, 100, 6000
 """Cameras to be trained on, and tracks, with fewer of which nothing is refined; tracks that are used at most."""
+CERTAIN = 500
+"""Tracks of the first moment that are enough to see that no camera needs to be refined: then no other moment is looked at."""
 HELD_BACK = 5
 """Every so many tracks, one is held back."""
 BETTER, BY = 0.9, 0.05
@@ -97,12 +99,18 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
     if len(shots) < LEAST_VIEWS or not all(map(_stands, shots.values())):
         return NOTHING
     first = {view: each[0] for view, each in shots.items()}
-    tracks, sizes = tracked(capture, store, settings, list(shots), progress)
+    given, lenses = [shot.camera for shot in first.values() if shot.camera is not None], [_lens(shot) for shot in first.values()]
+    before = after = np.nan
+    for tracks, sizes in tracked(capture, store, settings, list(shots), progress):
+        if len(tracks) < ENOUGH:
+            continue
+        rig = rig_of(given, lenses, sizes)
+        better, before, after, used = compared(rig, tracks)
+        if settings.poses == "auto" and len(tracks) >= CERTAIN and before - after < BY / 2:
+            break
     if len(tracks) < ENOUGH:
         say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
         return NOTHING
-    rig = rig_of([shot.camera for shot in first.values() if shot.camera is not None], [_lens(shot) for shot in first.values()], sizes)
-    better, before, after, used = compared(rig, tracks)
     if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):
         say(f"cameras: as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
         return NOTHING
@@ -118,8 +126,9 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
 
 
 def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[str],
-            progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[bundle.Tracks, np.ndarray]:
-    """The tracks of features in the views' pictures of some moments, and the focal lengths [V, 2] of these pictures in pixels.
+            progress: Callable[[int, int], None] = lambda done, of: None) -> Iterator[tuple[bundle.Tracks, np.ndarray]]:
+    """The tracks of features in the views' pictures of one moment, and then of all that are looked at; and the focal lengths [V, 2] of
+    these pictures in pixels.
 
     progress(done, of) is called for each picture and for each moment's matches.
     """
@@ -132,10 +141,10 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
     moments = [[enlarged(capture, shot) for shot in shots] for shots in moments]
     of, done = sum(map(len, moments)) + len(moments), count(1)
     progress(0, of)
-    store.fill(shots=[shot for shots in moments for shot in shots])
     extract = features.extractor()
     pixels, camera, point, rays, slopes, points = np.ones((len(views), 2)), [], [], [], [], 0
-    for shots in moments:
+    for number, shots in enumerate(moments):
+        store.fill(shots=shots)
         found = []
         for shot in shots:
             image, small, inside = picture(capture, store, settings, shot, features.LARGEST_SIDE)
@@ -158,10 +167,13 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
             point += [points] * len(track)
             points += 1
         progress(next(done), of)
-    tracks = bundle.Tracks(np.array(camera, np.int64), np.array(point, np.int64), np.reshape(rays, (-1, 2)), np.reshape(slopes, (-1, 2)))
-    known = np.isfinite(tracks.slopes).all(1)
-    whole = tracks.by_point(known * 1.0) == tracks.by_point(np.ones(len(known))) if len(tracks) else np.zeros(0, bool)
-    return tracks.take(whole), pixels
+        if number not in (0, len(moments) - 1):
+            continue
+        pairs = (np.reshape(each, (-1, 2)) for each in (rays, slopes))
+        tracks = bundle.Tracks(np.array(camera, np.int64), np.array(point, np.int64), *pairs)
+        known = np.isfinite(tracks.slopes).all(1)
+        whole = tracks.by_point(known * 1.0) == tracks.by_point(np.ones(len(known))) if len(tracks) else np.zeros(0, bool)
+        yield tracks.take(whole), pixels
 
 
 def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float, float, np.ndarray]:
