@@ -39,9 +39,11 @@ def _of(**wanted: str) -> Callable[..., None]:
 
 
 surface = _of(triangles="f 3 3")  # and the holdout of draw() and expose()
-past_splats = _of(points="p 3", over="p")  # and past_triangles()
+view_box = _of(points="3 p", view="3 4")
+past_splats = _of(points="3 p", over="p")  # and past_triangles()
 posed = _of(index="m")
-thinnest = _of(places="n 3", spreads="n 6", weights="n")
+spread = _of(position="3 p", axes="3 3 p", place="3", within="s 2")
+thinnest = _of(places="n 3", axes="3 3 n", weights="n")
 carve = _of(depths="v h w", slopes="v h w", poses="v 3 4", low="3")
 around = _of(points="p 3", normals="p 3", places="n 3", axes="n 3", weights="n")
 affine_weights = _of(points="v 3", places="n 3", number="v k", weight="v k", reaches="v")

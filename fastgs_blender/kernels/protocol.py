@@ -84,30 +84,39 @@ class PictureBackend(Protocol):
     def surface(self, triangles: np.ndarray, camera: Camera) -> Array:
         """Depth of the nearest of the triangles [F, 3, 3] float32 in each pixel [h, w]; inf where there is none."""
 
+    def view_box(self, points: np.ndarray, view: np.ndarray, parallel: bool) -> np.ndarray:
+        """The least and the largest x / z, y / z and z [2, 3] of those of the points [3, P] float64 of the world that lie before a camera
+        with the view [3, 4]; parallel: x, y and z of all.  Not finite where there are none."""
+
     def past_splats(self, instances: list[ViewedInstance], camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
-        """Which share of the light from the camera's centre comes past the splats to points [P, 3] float64 of the world: [P] float32; see
+        """Which share of the light from the camera's centre comes past the splats to points [3, P] float64 of the world: [P] float32; see
         rendering/passing.py.  The window holds all of them that lie before the camera, but for a few pixels.
 
         over  [P] float64: how much nearer than the point along the view axis a splat must lie to count
         """
 
     def past_triangles(self, triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
-        """The same of opaque triangles [F, 3, 3] float32, for points [P, 3] and over [P] as past_splats() has them: 0 or 1, [P] float32."""
+        """The same of opaque triangles [F, 3, 3] float32, for points [3, P] and over [P] as past_splats() has them: 0 or 1, [P] float32."""
 
-    def posed(self, instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Where the Gaussians index [M] int64 of an instance are at its time, [M, 3], and the unit quaternions [M, 4] by which they are
-        turned, in its model's space and in float64."""
+    def posed(self, instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Where the Gaussians index [M] int64 of an instance are at its time, [M, 3]; the unit quaternions [M, 4] by which they are turned;
+        and their axes [3, 3, M] as columns, each as long as its standard deviation.  In its model's space and in float64."""
+
+    def spread(self, position: np.ndarray, axes: np.ndarray, place: np.ndarray, parallel: bool,
+               within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Of Gaussians at places [3, P] with axes [3, 3, P]: their standard deviations [P] along the lines to a place [3] (parallel: along
+        a direction), and places [3, S, P] on them, by shares `within` [S, 2] of their two longest axes, of the shorter one first."""
 
     def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and which of these have light left before
         them in a pixel, [V] bool.  It is an estimate."""
 
-    def thinnest(self, places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float,
+    def thinnest(self, places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float,
                  rows: np.ndarray | None = None) -> np.ndarray:
         """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.
 
         places   [N, 3] float64
-        spreads  [N, 6] float64: the covariances' xx, xy, xz, yy, yz, zz
+        axes     [3, 3, N] float64, as posed() has them
         weights  [N] float64, at a distance d multiplied by (1 - d^2 / reach^2)^2
         reach    no Gaussian farther away counts
         rows     [M] those that are asked for, for [M, 3]; None: all
@@ -256,24 +265,19 @@ class TrainingBackend(PictureBackend, Protocol):
         """The number of these rows, [1] float64."""
 
     def steps_since(self, rows: Rows, moved: Array, step: int) -> Array:
-        """[N]: for the rows, step - moved (the steps that their next move stands for); 0 for all others.
-
-        moved  [N] int64, the step in which each Gaussian moved last
-        """
+        """[N]: for the rows, step - moved (the steps that their next move stands for); 0 for all others.  moved [N] int64: the step in
+        which each Gaussian moved last."""
 
     def motion_penalty(self, norm: MotionNorm, motion: Array, gradient: Array, scale: float, since: Array) -> Array:
         """The penalty of motion [N, K, 3], [1] float64; scale * since[n] * its gradient is added to gradient [N, K, 3]."""
 
     def anchor(self, features: Array, target: Array, gradient: Array, rows: Rows, strength: float) -> None:
-        """Add strength * (features [N, F] - target) to the gradient [N, F] of those rows whose target [N, F] is not NaN
-        (training/core/anchor.py)."""
+        """Add strength * (features [N, F] - target) to the gradient [N, F] of those rows whose target [N, F] is not NaN."""
 
     def mcmc_penalty(self, parameters: dict[str, Array], gradients: dict[str, Array], opacity_weight: float, scale_weight: float,
                extent: float) -> None:
-        """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC).
-
-        parameters, gradients  by name, of the same shapes; opacity [N] and scale [N, 3] are looked at
-        """
+        """Add to the gradients those of opacity_weight mean(sigmoid(opacity)) + scale_weight mean(exp(scale)) / extent (MCMC).  Of the
+        parameters, opacity [N] and scale [N, 3] are looked at."""
 
     def mcmc_noise(self, parameters: dict[str, Array], reach: float, key: tuple[int, ...], frozen: int = 0) -> None:
         """Move nearly transparent Gaussians, but for the first `frozen`, at random, each in its own shape, by about reach (MCMC); key:
@@ -302,21 +306,18 @@ class TrainingBackend(PictureBackend, Protocol):
     def sweep(self, image: np.ndarray, others: list[tuple[np.ndarray, np.ndarray, np.ndarray]], planes: np.ndarray, outside: float,
               reach: int) -> np.ndarray:
         """Plane sweep: mean absolute differences of colour [D, h, w] between image [h, w, 3] and the better half of the other pictures
-        that show it, were its surface on each of the planes [D, 3]; averaged over (2 reach + 1)^2 pixels.
+        that show it, were its surface on each of the planes [D, 3]; averaged over (2 reach + 1)^2 pixels; outside: where a picture ends.
 
         planes   the pixel (u, v) has the inverse depth plane @ (u, v, 1): (0, 0, 1 / z) faces the camera at the depth z
         others   (picture [h', w', 3], turn [3, 3], shift [3]): the pixel (u, v) at depth z is seen by the other camera at
                  turn @ (u, v, 1) z + shift (homogeneous)
-        outside  the difference where another picture ends
         """
 
     def vote(self, xyz: np.ndarray, rgb: np.ndarray, camera: Camera, image: np.ndarray, depth: np.ndarray, cost: np.ndarray, near: float,
              alike: float, sure: float, agree: np.ndarray, against: np.ndarray) -> None:
-        """Count [P] whether a picture [h, w, 3] with depths and their costs [h, w] agrees with points and colours [P, 3], or is against.
-
-        depth / z - 1 is less than `near`: it agrees if the mean difference of colour is less than `alike`, else it is against; more than
-        twice `near`, at a cost less than `sure`: it is against, as it sees through the point
-        """
+        """Count [P] whether a picture [h, w, 3] with depths and costs [h, w] agrees with points and colours [P, 3], or is against.  Where
+        depth / z - 1 is within `near`, it agrees if the mean difference of colour is below `alike`, else it is against; above twice
+        `near`, at a cost below `sure`, it sees through the point and is against."""
 
     def resample(self, image: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y in its pixels, centres at +0.5):

@@ -186,7 +186,9 @@ class GaussianModel:
         try:
             if isinstance(chosen, np.ndarray) and (chosen.ndim != 1 or chosen.dtype.kind not in "biu"):
                 raise IndexError
-            return replace(self, **{name: a[chosen] for name, a in self.arrays.items()}, parts=self.parts.take(chosen))
+            numbers = isinstance(chosen, np.ndarray) and chosen.dtype != bool
+            rows = (lambda a: np.take(a, chosen, 0)) if numbers else (lambda a: a[chosen])  # of short rows four times as fast
+            return replace(self, **{name: rows(a) for name, a in self.arrays.items()}, parts=self.parts.take(chosen))
         except (IndexError, TypeError) as error:
             raise FastGSError(f"Gaussians are chosen by a slice, by numbers from 0 to {len(self) - 1} or by a mask [{len(self)}], not by"
                               f" {shown(index)}.") from error

@@ -45,9 +45,9 @@ def sigmoid(x: ArrayLike) -> np.ndarray:
     return 0.5 * (1 + np.tanh(0.5 * np.asarray(x, np.float64)))
 
 
-def opacities_at(model: GaussianModel, t: float) -> np.ndarray:
-    """Opacities sigma(t) [N] of all Gaussians (paper, eq. 6)."""
-    return sigmoid(model.opacity) * model.temporal_kind.factor(t, model.mu_tau, model.temporal)
+def opacities_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:
+    """Opacities sigma(t) [M] of the Gaussians of an index (paper, eq. 6)."""
+    return sigmoid(model.opacity[index]) * model.temporal_kind.factor(t, model.mu_tau[index], model.temporal[index])
 
 
 def positions_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:

@@ -58,16 +58,15 @@ class Lamp:
         place = self.light.points[number]
         if self.light.parallel:
             return np.maximum(place @ normal, 0)
-        x, y, z = (at - axis for at, axis in zip(place, position, strict=True))  # sums of three long rows: NumPy's own take far longer
-        square = np.maximum(x * x + y * y + z * z, 1e-12)
+        towards = place[:, None] - position
+        square = np.maximum(np.einsum("km,km->m", towards, towards), 1e-12)
         length = np.sqrt(square)
-        share = np.maximum(normal[0] * x + normal[1] * y + normal[2] * z, 0) / ((square + self.soft**2) * length)
+        share = np.maximum(np.einsum("km,km->m", normal, towards), 0) / ((square + self.soft**2) * length)
         if self.beam is not None and self.axis is not None:
-            along = self.axis[number]
             if self.shape is not None:
-                x, y, z = (row[0] * x + row[1] * y + row[2] * z for row in self.shape)
-                length = np.sqrt(np.maximum(x * x + y * y + z * z, 1e-12))
-            share *= self.beam(-(along[0] * x + along[1] * y + along[2] * z) / length)
+                towards = self.shape @ towards
+                length = np.sqrt(np.maximum(np.einsum("km,km->m", towards, towards), 1e-12))
+            share *= self.beam(-self.axis[number] @ towards / length)
         return share
 
     def like(self, other: Lamp) -> bool:

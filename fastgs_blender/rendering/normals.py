@@ -15,7 +15,9 @@ from typing import Any
 
 import numpy as np
 
+from ..model.gaussians import GaussianModel
 from ..model.slicing import opacities_at
+from ..util.kept import kept
 from .instances import ViewedInstance
 from .quantities import Quantity, Shown
 
@@ -37,25 +39,25 @@ def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -
     instance, index = shown.instance, shown.index
     if not len(index):
         return np.zeros((0, 3))
-    spread = np.stack([(shown.spread[i] * shown.spread[j]).sum(0) for i, j in zip(*np.triu_indices(3), strict=True)], 1)
-    a, b, c = shown.scale
+    a, b, c = np.sqrt(np.einsum("ikm,ikm->km", shown.axes, shown.axes))
     least, most = np.minimum(a, b), np.maximum(a, b)
     least, middle, most = np.minimum(least, c), np.maximum(least, np.minimum(most, c)), np.maximum(most, c)
-    opacity = opacities_at(instance.model, instance.t)[index]
+    opacity = opacities_at(instance.model, instance.t, index)
     weight = opacity * (opacity >= instance.model.raster.alpha_cut) * (1 - least / middle) * middle * most
     if len(instance.hidden):
         weight = weight * ~instance.hidden[index]
     weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)
-    reach = REACH * float(np.median(np.exp(_longest(instance.model.scale))))
-    found = backend.thinnest(shown.position, spread, weight, reach, rows)
-    world = shown.world if rows is None else shown.world[rows]
+    found = backend.thinnest(shown.position, shown.axes, weight, REACH * _length(instance.source), rows)
+    world = shown.world if rows is None else np.take(shown.world, rows, 0)
     normal = shown.as_normals(found, world)
     return normal if instance.surface is None else _of_surface(instance.surface, world, normal)
 
 
-def _longest(scale: np.ndarray) -> np.ndarray:
-    """The largest of three numbers [N, 3] each: NumPy takes ten times as long over short rows."""
-    return np.maximum(np.maximum(scale[:, 0], scale[:, 1]), scale[:, 2])
+@kept
+def _length(model: GaussianModel) -> float:
+    """The median length of a model's longest axes."""
+    a, b, c = model.scale.T  # NumPy takes ten times as long over short rows
+    return float(np.exp(np.median(np.maximum(np.maximum(a, b), c))))
 
 
 def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
@@ -68,11 +70,9 @@ def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
     return Quantity(3, lambda shown: found[shown.instance][shown.index])
 
 
-def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
+def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest() in NumPy."""
-    square, asked = np.zeros((len(places), 3, 3)), places if rows is None else places[rows]
-    i, j = np.triu_indices(3)
-    square[:, i, j] = square[:, j, i] = spreads
+    square, asked = np.einsum("ikn,jkn->nij", axes, axes), places if rows is None else places[rows]
     out = np.zeros((len(asked), 3))
     for p, place in enumerate(asked):
         away = places - place

@@ -13,19 +13,20 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.appearance import Features, decode, lifted, momentary
-from ..model.slicing import Slice, positions_at, quaternions_at, slice_model
+from ..model.slicing import Slice, slice_model
 from ..util import rotations
 from .crops import crop_share
 from .culling import order_in_numpy
 from .distance import share
 from .exposure import Exposure, Film
 from .holdout import sample_depths
-from .instances import LIMIT, Instance, ViewedInstance
+from .instances import LIMIT, ViewedInstance
 from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, ChannelGroup, Exposed, Layout
 from .looks import Look, graded, size_factor
 from .normals import thinnest
-from .passing import past_splats, past_triangles
-from .quantities import Shown, shares
+from .passing import past_splats, past_triangles, view_box
+from .quantities import Shown, posed, shares
+from .spots import spread
 
 T_STOP = 1e-4
 """A pixel is finished when the next splat would leave this transmittance or less; that splat is not blended (INRIA, gsplat)."""
@@ -345,15 +346,11 @@ class Oracle:
         with np.errstate(all="ignore"):
             return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
 
-    def posed(self, instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        model, t = instance.model, instance.t
-        return positions_at(model, t, index), rotations.unit(quaternions_at(model, t, index))
-
     def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
         return [(np.sort(order_in_numpy([each], camera)).astype(np.int64), np.array(True)) for each in instances]
 
-    past_triangles = staticmethod(past_triangles)
-    thinnest = staticmethod(thinnest)
+    past_triangles, view_box = staticmethod(past_triangles), staticmethod(view_box)
+    posed, thinnest, spread = staticmethod(posed), staticmethod(thinnest), staticmethod(spread)
     front_to_back = staticmethod(order_in_numpy)
 
 

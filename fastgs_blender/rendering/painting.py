@@ -7,22 +7,24 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model.appearance import SH, SH_C0, Appearance, Features, decode, features_at, momentary
+from ..model.appearance import SH, SH_C0, Appearance, Changing, Features, decode, features_at, momentary
 from ..model.slicing import positions_at
 from .colour import linear_to_srgb, srgb_to_linear
 from .instances import ViewedInstance
 
 
 def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None = None) -> tuple[np.ndarray, np.ndarray]:
-    """(features [M, F] at the instance's time, colours [M, 3] in the model's space, without looks) of the Gaussians `index`.
+    """(features [M, F] at the instance's time, colours [M, 3] in the model's space, without looks) of the Gaussians `index`, float32.
 
     places  theirs [M, 3] in the model's space, if these are known
     """
     model, ray = instance.model, _rays(instance, index, places)
-    appearance, mu_tau = momentary(model.appearance), model.mu_tau[index].astype(np.float64)
-    features = features_at(model.appearance, model.features[index], instance.t, mu_tau)
+    appearance, features, mu_tau = momentary(model.appearance), np.take(model.features, index, 0), model.mu_tau[index].astype(np.float64)
+    if isinstance(model.appearance, Changing):
+        features = features_at(model.appearance, features, instance.t, mu_tau).astype(np.float32)
     if isinstance(appearance, Features):
-        return features, decode(_now(features, instance.t - mu_tau), instance.camera_to_model[:3, 3], ray, appearance)
+        now = _now(features, (instance.t - mu_tau).astype(np.float32))
+        return features, decode(now, instance.camera_to_model[:3, 3].astype(np.float32), ray, appearance)
     return features, appearance.seen(features, ray)
 
 
@@ -39,18 +41,20 @@ def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndar
     else:
         features, colour = seen_colours(instance, index, places)
         before = colour
-    linear, out = colour if model.colour_space == "linear" else srgb_to_linear(np.maximum(colour, 0)), []
+    linear, out = colour if model.colour_space == "linear" else srgb_to_linear(np.maximum(colour, 0)), list[np.ndarray]()
     for gain in gains:
-        seen = linear * gain
-        out.append(features.astype(np.float32))
-        out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / unit
+        rows = np.flatnonzero((gain != gains[0]).any(1)) if out else slice(None)
+        seen = linear[rows] * gain[rows].astype(np.float32)
+        own = features[rows, :3] + ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before[rows]) / np.float32(unit)
+        out.append((out or [features])[0].copy())
+        out[-1][rows, :3] = own
     return appearance, out
 
 
 def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:
-    """Unit vectors [M, 3] in the model's space, from the camera to the Gaussians."""
+    """Unit vectors [M, 3] float32 in the model's space, from the camera to the Gaussians."""
     ray = (positions_at(instance.model, instance.t, index) if places is None else places) - instance.camera_to_model[:3, 3]
-    return ray / np.maximum(np.linalg.norm(ray, axis=1, keepdims=True), 1e-30)
+    return (ray / np.maximum(np.sqrt(np.einsum("mi,mi->m", ray, ray)), 1e-30)[:, None]).astype(np.float32)
 
 
 def _now(features: np.ndarray, age: np.ndarray) -> np.ndarray:

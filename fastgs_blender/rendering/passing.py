@@ -18,10 +18,19 @@ BEHIND = 1e-6
 """Depth up to which points lie behind the camera: all light comes to them."""
 
 
+def view_box(points: np.ndarray, view: np.ndarray, parallel: bool) -> np.ndarray:
+    """PictureBackend.view_box() in NumPy."""
+    seen = view[:, :3] @ points + view[:, 3:]
+    if not parallel:
+        seen = seen[:, seen[2] > BEHIND]
+        seen[:2] /= seen[2]
+    return np.stack([seen.min(1, initial=np.inf), seen.max(1, initial=-np.inf)])
+
+
 def past_splats(found: list[Any], planes: slice, camera: Camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """The share [P] float32 of the light that comes past splats (oracle.Splats) to points [P, 3] of the world; over [P]: the lengths."""
+    """The share [P] float32 of the light that comes past splats (oracle.Splats) to points [3, P] of the world; over [P]: the lengths."""
     pixels, depth = _seen(camera, points, over)
-    out = np.ones(len(points))
+    out = np.ones(points.shape[1])
     x, y = (pixels - np.array([camera.width, camera.height]) / 2).T
     for splats in found:
         for i in range(len(splats.depth)):
@@ -36,9 +45,9 @@ def past_splats(found: list[Any], planes: slice, camera: Camera, points: np.ndar
 
 
 def past_triangles(triangles: np.ndarray, camera: Camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
-    """0 for those points [P, 3] of the world before which one of the triangles [F, 3, 3] lies, by over [P], else 1: [P] float32."""
+    """0 for those points [3, P] of the world before which one of the triangles [F, 3, 3] lies, by over [P], else 1: [P] float32."""
     pixels, depth = _seen(camera, points, over)
-    out = np.ones(len(points), np.float32)
+    out = np.ones(points.shape[1], np.float32)
     for corners in triangles.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]:
         for part in before_the_camera(corners, max(camera.near, NEAREST)):
             to = camera.pixels(part)[None] - pixels[:, None]
@@ -56,6 +65,6 @@ def past_triangles(triangles: np.ndarray, camera: Camera, points: np.ndarray, ov
 
 def _seen(camera: Camera, points: np.ndarray, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pixels [P, 2] of points, and the depths [P] before which things lie that stop light; -inf behind the camera."""
-    view = points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    view = points.T @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
     with np.errstate(all="ignore"):
         return camera.pixels(view), np.where(view[:, 2] > BEHIND, view[:, 2] - over, -np.inf)

@@ -39,13 +39,13 @@ class Shown:
         return cls(instance, np.flatnonzero(there), backend)
 
     @cached_property
-    def _posed(self) -> tuple[np.ndarray, np.ndarray]:
-        return self._backend.posed(self.instance, self.index)
+    def _posed(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        return self._backend.posed(self.instance, self.index) if self._backend else posed(self.instance, self.index)
 
     @cached_property
     def position(self) -> np.ndarray:
         """[M, 3] in the model's space."""
-        return self._posed[0] if self._backend else positions_at(self.instance.model, self.instance.t, self.index)
+        return self._posed[0] if self._backend else positions_at(self.instance.model, self.instance.t, self.index)  # no more is needed
 
     @cached_property
     def world(self) -> np.ndarray:
@@ -57,19 +57,10 @@ class Shown:
         """[M, 3] in the camera's axes."""
         return _transformed(self.instance.model_to_camera, self.position)
 
-    @cached_property
-    def scale(self) -> np.ndarray:
-        """[3, M] the standard deviations along the Gaussians' own axes, in the model's space."""
-        return np.exp(self.instance.model.scale[self.index].T.astype(np.float64, order="C"))
-
-    @cached_property
-    def spread(self) -> np.ndarray:
-        """[3, 3, M]: the Gaussians' axes in the model's space, as columns, each as long as its standard deviation.
-
-        Gaussians come last: NumPy is several times as fast on long rows as on many small matrices.
-        """
-        turn = self._posed[1] if self._backend else rotations.unit(quaternions_at(self.instance.model, self.instance.t, self.index))
-        return np.stack(rotations.elements(turn)).reshape(3, 3, -1) * self.scale
+    @property
+    def axes(self) -> np.ndarray:
+        """[3, 3, M]: the Gaussians' axes in the model's space, as columns, each as long as its standard deviation."""
+        return self._posed[2]
 
     def as_normals(self, axes: np.ndarray, world: np.ndarray) -> np.ndarray:
         """Directions [M, 3] in the model's space, at places [M, 3] in the world, as unit normals [M, 3] there, turned to the camera.
@@ -77,10 +68,10 @@ class Shown:
         Normals are transformed by the inverse of the placement's transpose.
         """
         normal = np.linalg.pinv(self.instance.placement[:3, :3]).T @ axes.T
-        normal /= np.maximum(np.sqrt((normal * normal).sum(0)), 1e-30)
+        normal /= np.maximum(np.sqrt(np.einsum("im,im->m", normal, normal)), 1e-30)
         to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
         towards = -to_world[:3, 2:3] if self.instance.camera.orthographic else to_world[:3, 3:] - world.T
-        return np.where((normal * towards).sum(0) < 0, -normal, normal).T
+        return (normal * np.copysign(1, np.einsum("im,im->m", normal, np.broadcast_to(towards, normal.shape)))).T
 
     def pixels(self, instance: ViewedInstance) -> tuple[np.ndarray, np.ndarray]:
         """The same Gaussians of another instance of the model in its camera's picture: their centres [M, 2], and their standard deviations
@@ -98,6 +89,14 @@ class Shown:
     def _axes_at(self, t: float, model: GaussianModel) -> np.ndarray:
         """Each Gaussian's axes in the model's space, as columns [M, 3, 3]."""
         return rotations.to_matrices(rotations.unit(quaternions_at(model, t, self.index)))
+
+
+def posed(instance: Instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """PictureBackend.posed() in NumPy."""
+    model, t = instance.model, instance.t
+    turn = rotations.unit(quaternions_at(model, t, index))
+    axes = np.stack(rotations.elements(turn)).reshape(3, 3, -1) * np.exp(model.scale[index].T.astype(np.float64))
+    return positions_at(model, t, index), turn, axes
 
 
 @dataclass(frozen=True)

@@ -17,22 +17,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 from typing import Any
 
 import numpy as np
 
 from ..cameras.camera import Camera
 from .contact import contact
-from .exposure import PLASTIC
 from .holdout import as_triangles
-from .instances import Instance, ObjectSettings, ViewedInstance
+from .instances import Instance, ViewedInstance
 from .lamps import Lamp
 from .normals import smooth_normals
 from .painting import painted
 from .quantities import Shown
 from .shading import shading_of, shares_of
 from .shadow_edges import Taken, on_edge
+from .spots import Spots, evenly
 from .unlit import captured_light
 from .ways import Side, Ways
 
@@ -107,7 +106,7 @@ class SceneLight:
         shown = {number: show if instances[number].settings.takes_light else None for number, show in zip(viewed, shows, strict=True)}
         surfaces = [_Surface(viewed[number], backend, shown[number]) for number in wanted]
         casting = [each for each in instances if len(each.model) and each.settings.casts]
-        arriving = self._arriving(_Spots.of(surfaces), casting, backend, progress)
+        arriving = self._arriving(Spots.of(surfaces), casting, backend, progress)
         ends = np.cumsum([len(each.index) for each in surfaces])[:-1]
         drops = bool((arriving[:, 1] < arriving[:, 0]).any())
         for number, surface, light in zip(wanted, surfaces, np.split(arriving, ends, axis=3)):
@@ -120,114 +119,60 @@ class SceneLight:
                 out[number] = replace(out[number], shading=shading_of(light, near))
         return out
 
-    def _arriving(self, spots: _Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
+    def _arriving(self, spots: Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
         total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
         scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1, self.moments)
         for number, lamp in enumerate(self.lamps):
-            count, among, ways = len(lamp.light.points), spots.lit_by(lamp.name), scene.of_lamp(lamp.name, self.clear.get(lamp.name))
-            shares = np.stack([lamp.share(k, spots.position, spots.normal) * among for k in range(count)]) / count
-            rows = np.flatnonzero(shares.any(0))
-            shares, lit = shares[:, rows], spots.part(rows)
+            ways, colour = scene.of_lamp(lamp.name, self.clear.get(lamp.name)), lamp.colour / len(lamp.colour)
+            shares, rows = _shares(lamp, spots)
+            lit = spots.part(rows)
             sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
             sums, alike = np.zeros((4, 3, len(rows))), np.zeros((4, len(rows)))
             for k, share in enumerate(shares):
                 alike[0] += share
                 for side, part in sides:
                     at = slice(None) if len(sides) == 1 else side.rows
-                    for stage, past in enumerate(self._through(ways, lamp, k, side, part), 1):
-                        alike[stage, at] += share[at] * past
-                if k + 1 == count or (lamp.colour[k + 1] != lamp.colour[k]).any():
-                    sums += alike[:, None] * lamp.colour[k][:, None]
+                    meshes, splats = self._through(ways, lamp, k, side, part, backend)
+                    left = share[at] * meshes
+                    alike[1, at] += left
+                    alike[2, at] += left * splats
+                    alike[3, at] += share[at] * splats
+                if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
+                    sums += alike[:, None] * colour[k][:, None]
                     alike[:] = 0
-                progress((number + (k + 1) / count) / len(self.lamps))
-            total[self.levels[number]][..., rows] += sums
+                progress((number + (k + 1) / len(colour)) / len(self.lamps))
+            for row, more in zip(total[self.levels[number]].reshape(12, -1), sums.reshape(12, -1), strict=True):
+                row[rows] += more
         return total
 
-    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: _Spots) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-        """Which share of the light of a lamp's point comes past the meshes, past all, and past the splats to a side's spots: [M] each."""
-        light, part = lamp.light, np.abs(lamp.colour).sum(1)
+    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: Spots, backend: Any) -> tuple[np.ndarray, np.ndarray]:
+        """Which share of the light of a lamp's point comes past the meshes, and past the splats to a side's spots: [M] each."""
+        part = np.abs(lamp.colour).sum(1)
         share = part[number] / max(part.sum(), 1e-30)
-        towards = light.points[number][:, None] - (0 if light.parallel else spots.position)
-        over, size = self.bias + REACH * spots.thickness(towards), max(int(self.size * min(share**0.25, 1)), 64)
-        meshes, splats = ways.past(light, number, side, spots.spread(number, share), size, self.bias, over)
-        return meshes, meshes * splats, splats
+        size, each = max(int(self.size * min(share**0.25, 1)), 64), max(round(SPREAD * share), 1)
+        thickness, places = backend.spread(spots.position, spots.axes, lamp.light.points[number], lamp.light.parallel,
+                                           evenly(number * each + np.arange(each)))
+        return ways.past(lamp.light, number, side, places, size, self.bias, self.bias + REACH * thickness)
 
 
-@dataclass(frozen=True, eq=False)
-class _Spots:
-    """Gaussians as P spots that light falls on.  They come last in arrays: NumPy is several times as fast on long rows.
-
-    position, normal  [3, P] in the world; unit normals, turned to the camera, smooth (normals.py)
-    axes              [3, 3, P] as columns, each as long as its standard deviation
-    owner             [P] which of the settings are theirs
-    settings          ObjectSettings of the instances
-    """
-
-    position: np.ndarray
-    normal: np.ndarray
-    axes: np.ndarray
-    owner: np.ndarray
-    settings: tuple[ObjectSettings, ...]
-
-    @classmethod
-    def of(cls, surfaces: list[_Surface]) -> _Spots:
-        """The Gaussians of all surfaces."""
-        position, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces], -1) for name in ("position", "normal", "axes"))
-        owner = np.repeat(np.arange(len(surfaces)), [len(each.index) for each in surfaces])
-        return cls(position, normal, axes, owner, tuple(each.instance.settings for each in surfaces))
-
-    def __len__(self) -> int:
-        return self.position.shape[1]
-
-    def part(self, rows: np.ndarray) -> _Spots:
-        """Some of the spots."""
-        if len(rows) == len(self):
-            return self
-        return _Spots(self.position[:, rows], self.normal[:, rows], self.axes[..., rows], self.owner[rows], self.settings)
-
-    def lit_by(self, lamp: str) -> np.ndarray:
-        """Which spots a lamp of that name lights [P] bool."""
-        return np.array([lamp not in each.unlit_by for each in self.settings])[self.owner]
-
-    @cached_property
-    def _squares(self) -> np.ndarray:
-        return np.maximum(np.einsum("ikp,ikp->kp", self.axes, self.axes), 1e-30)
-
-    @cached_property
-    def _inverse(self) -> np.ndarray:
-        """Of each, the inverse of the covariance: [6, P] xx, yy, zz, xy, xz, yz."""
-        x, y, z = self.axes / self._squares
-        return np.stack([np.einsum("kp,kp->p", a, b) for a, b in ((x, x), (y, y), (z, z), (x, y), (x, z), (y, z))])
-
-    @cached_property
-    def _wide(self) -> np.ndarray:
-        """The two longest axes [3, 2, P] of each, the shorter one first."""
-        return np.take_along_axis(self.axes, self._squares.argsort(0)[None, 1:], 1)
-
-    def thickness(self, towards: np.ndarray) -> np.ndarray:
-        """The standard deviation [P] of the spots along lines through their middles with directions [3, P], or one [3, 1]."""
-        x, y, z = towards
-        xx, yy, zz, xy, xz, yz = self._inverse
-        along = x * (xx * x + 2 * (xy * y + xz * z)) + y * (yy * y + 2 * yz * z) + zz * (z * z)
-        return np.sqrt((x * x + y * y + z * z) / np.maximum(along, 1e-30))
-
-    def spread(self, number: int, share: float) -> np.ndarray:
-        """Places [S, 3, P] all over the spots, from which the point `number` of a lamp is looked at: if much of its light, a share, comes
-        from there several, so that a shadow's edge crosses a spot little by little."""
-        each = max(round(SPREAD * share), 1)
-        k = number * each + np.arange(each)
-        radius, turn = np.sqrt(k / PLASTIC % 1), 2 * np.pi * (k / PLASTIC**2 % 1)
-        u, v = ((radius * side(turn))[:, None, None] for side in (np.cos, np.sin))
-        return self.position + u * self._wide[:, 0] + v * self._wide[:, 1]
+def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:
+    """Which share of its colour each of a lamp's points sends to those spots that it lights: [L, R], and which these are [R]."""
+    shares, any_ = np.empty((len(lamp.light.points), len(spots))), np.zeros(len(spots), bool)
+    among = spots.lit_by(lamp.name)
+    for number, row in enumerate(shares):
+        np.multiply(lamp.share(number, spots.position, spots.normal), among, out=row)
+        any_ |= row > 0
+    rows = np.flatnonzero(any_)
+    return shares if len(rows) == len(spots) else np.take(shares, rows, 1), rows
 
 
 def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, backend: Any) -> Instance:
     """An instance with the colours that its surface has in a light [L, 4, 3, M] (SceneLight._arriving), if it takes light; drops: whether
     meshes throw shadows."""
     settings = instance.settings
-    bare, meshes, all_, splats = light.sum(0)
+    bare, meshes, all_, splats = light[0] if len(light) == 1 else light.sum(0)
     most, captured, shadows = np.maximum(bare, 1e-12), settings.captured_light, settings.shadows
     past = np.where(bare > 1e-12, meshes / most, 1)
     lamps = settings.lamp_light / np.pi * surface.unlit(settings.unlit, backend).T
@@ -250,7 +195,7 @@ def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, 
 
 
 class _Surface:
-    """The M Gaussians of an instance that its camera shows, as a surface in the world: arrays as _Spots has them.
+    """The M Gaussians of an instance that its camera shows, as a surface in the world: arrays as Spots has them.
 
     index  [M] which of the model's
     local  [M, 3] their places in the model's space
@@ -260,9 +205,10 @@ class _Surface:
         every = np.arange(len(instance.model))
         index, marks = (every, np.array(True)) if shows is None else shows
         shown, rows = Shown(instance, index, backend), np.flatnonzero(np.broadcast_to(marks, index.shape))
-        spread = shown.spread[..., rows]
-        self.instance, self.index, self.local, self.position = instance, shown.index[rows], shown.position[rows], shown.world[rows].T
-        self.axes = (instance.placement[:3, :3] @ spread.reshape(3, -1)).reshape(spread.shape)
+        self.instance, self.index = instance, shown.index[rows]
+        self.local, self.position = np.take(shown.position, rows, 0), np.take(shown.world.T, rows, 1)
+        axes = np.take(shown.axes, rows, -1)
+        self.axes = (instance.placement[:3, :3] @ axes.reshape(3, -1)).reshape(axes.shape)
         self.normal = smooth_normals(shown, backend, rows).T
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:

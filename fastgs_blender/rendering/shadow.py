@@ -107,7 +107,7 @@ class Shadow:
         sides = ways.sides(self.light, points)
         for i in range(len(self.light.points)):
             for side in sides:
-                total[side.rows] += ways.past(self.light, i, side, points[None, :, side.rows], self.size, over_splats=self.bias)[1]
+                total[side.rows] += ways.past(self.light, i, side, points[:, None, side.rows], self.size, over_splats=self.bias)[1]
             progress((i + 1) / len(self.light.points))
         out[seen] = total / len(self.light.points)
         return out

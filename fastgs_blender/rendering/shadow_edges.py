@@ -29,14 +29,14 @@ from .exposure import Exposure
 from .instances import Instance, ViewedInstance
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Ways, without_colours
+from .ways import Ways
 
 PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
 WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
 """These places, in pixels from its middle: no two in one row or column."""
-COARSE = 4
-"""Pixels of the side of the squares that are looked at first, to find where edges are."""
+AROUND = 2.0
+"""Standard deviations around Gaussians with an edge in which pixels are drawn again."""
 SHARP = 0.01
 """Shares of light from 0 and 1 on that are those of an edge."""
 FAINT = 1e-3
@@ -106,7 +106,7 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
         if not coloured:
             return replace(blended, sums=sums)
         before = scene_linear(blended.rgb[at], blended.alpha[at], space)
-        return replace(blended, sums=sums, rgb=_changed(blended, at, drawn.one[:, None] * (drawn.light - before), space))
+        return replace(blended, sums=sums, rgb=_changed(blended, at, before + drawn.one[:, None] * (drawn.light - before), space))
     change, levels = np.zeros(blended.rgb.shape), min(exposure.levels, int(np.log2(MOST)))
     for sample in exposure.samples(levels):
         if sample.weights[levels]:
@@ -115,13 +115,12 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
             if drawn.pixels:
                 change[drawn.pixels] += sample.weights[levels] * drawn.one[:, None] * (drawn.light - drawn.of(lit))
     at = np.nonzero(change.any(-1))
-    return replace(blended, rgb=_changed(blended, at, change[at], space))
+    return replace(blended, rgb=_changed(blended, at, scene_linear(blended.rgb[at], blended.alpha[at], space) + change[at], space))
 
 
-def _changed(blended: Any, at: tuple[np.ndarray, ...], change: np.ndarray, space: str) -> np.ndarray:
-    """A picture [h, w, 3] with a change in light [P, 3] of some of its pixels."""
-    out, alpha = blended.rgb.copy(), blended.alpha[at]
-    linear = np.maximum(scene_linear(out[at], alpha, space) + change, 0)
+def _changed(blended: Any, at: tuple[np.ndarray, ...], light: np.ndarray, space: str) -> np.ndarray:
+    """A picture [h, w, 3] with the light [P, 3] that some of its pixels have now."""
+    out, alpha, linear = blended.rgb.copy(), blended.alpha[at], np.maximum(light, 0)
     out[at] = linear_to_srgb(straight(linear, alpha)) * alpha[:, None] if space == "srgb" else linear
     return out
 
@@ -141,20 +140,14 @@ class _Drawn:
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
                  backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
-        wide, shares = Quantity(2, _wide, core=True), Quantity(lamps, lambda shown: _numbers(shown, lamps)[:, 3 * lamps:4 * lamps])
-        coarse = _coarse(camera)
-        plain = [replace(each, model=without_colours(each.model)) for each in instances]
-        _, alpha, sums = self._sums(plain, coarse, {"wide": wide, "shares": shares}, True)
-        at = np.nonzero(_asked(sums["shares"], alpha, 2))
-        at = _rows(at, np.flatnonzero(_one(coarse, sums, alpha, at, light.bias)[0] > SHARP))
-        eye = _around(at, coarse, camera)
+        eye = _around(instances, camera)
         if eye is None:
             return
         self._eye = eye
         of_lamps = Quantity(NUMBERS * lamps, lambda shown: _numbers(shown, lamps))
         normals = Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
                            np.zeros((len(shown.index), 3)))
-        rgb, alpha, sums = self._sums(instances, eye, {"wide": wide, "numbers": of_lamps, "normal": normals}, True)
+        rgb, alpha, sums = self._sums(instances, eye, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
         numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
         at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
         one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
@@ -164,8 +157,8 @@ class _Drawn:
         self.one, x, y, plane, at = one[rows], x[rows], y[rows], plane[rows], _rows(at, rows)
         rgb, alpha, numbers, normal = (array[at].astype(np.float64) for array in (rgb, alpha, numbers, sums["normal"]))
         numbers /= alpha[:, None, None]
-        places = np.stack([_points(eye, plane, x + dx, y + dy) for dx, dy in WITHIN])
-        normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
+        places = _points(eye, plane, *(side + WITHIN[:, axis:axis + 1] for axis, side in enumerate((x, y))))
+        normal /= np.maximum(np.sqrt(np.einsum("pi,pi->p", normal, normal)), 1e-30)[:, None]
         past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
         self._at, self.pixels = at, (at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0])
         self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, 4]
@@ -189,24 +182,23 @@ class _Drawn:
         return rgb, alpha, {name: self.backend.numpy(array) for name, array in drawn.sums.items()}
 
 
-def _coarse(camera: Camera) -> Camera:
-    """The camera with one pixel for each COARSE x COARSE."""
+def _around(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
+    """The camera with a window around those Gaussians that an edge lies on, None where it sees none."""
+    found = [np.zeros((0, 4))]
+    for each in instances:
+        if each.taken is not None and each.taken.edges:
+            seen = Shown(each, np.flatnonzero(on_edge(each.taken.numbers[:, 3]).any(1)))
+            centre, axes = seen.pixels(each)
+            reach = AROUND * np.sqrt((axes * axes).sum(2)) + BLOCK
+            found.append(np.concatenate([centre - reach, centre + reach], 1)[seen.view[:, 2] > each.near])
+    boxes = np.concatenate(found)
     x0, y0, width, height = camera.window
-    left, top = x0 // COARSE, y0 // COARSE
-    whole = camera.stretched(*(-(-side // COARSE) for side in (camera.width, camera.height)))
-    return replace(whole, window=(left, top, -(-(x0 + width) // COARSE) - left, -(-(y0 + height) // COARSE) - top))
-
-
-def _around(at: tuple[np.ndarray, ...], coarse: Camera, camera: Camera) -> Camera | None:
-    """The camera with a window around rows and columns of a coarse one's, None where there are none."""
-    if not len(at[0]):
+    boxes = np.clip(boxes, [x0, y0] * 2, [x0 + width, y0 + height] * 2).astype(int)
+    boxes = boxes[(boxes[:, :2] < boxes[:, 2:]).all(1)]
+    if not len(boxes):
         return None
-    across, down = (camera.width / coarse.width, camera.height / coarse.height)
-    x0, y0, width, height = camera.window
-    left, right = ((edge + coarse.window[0]) * across for edge in (at[1].min() - 1, at[1].max() + 2))
-    top, bottom = ((edge + coarse.window[1]) * down for edge in (at[0].min() - 1, at[0].max() + 2))
-    left, top, right, bottom = max(int(left), x0), max(int(top), y0), min(int(right), x0 + width), min(int(bottom), y0 + height)
-    return replace(camera, window=(left, top, right - left, bottom - top)) if right > left and bottom > top else None
+    (left, top), (right, bottom) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
+    return replace(camera, window=(left, top, right - left, bottom - top))
 
 
 def _rows(at: tuple[np.ndarray, ...], rows: np.ndarray) -> tuple[np.ndarray, ...]:
@@ -276,31 +268,31 @@ def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) 
 
 
 def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Points [3, P] in the world at x and y, in pixels from the image's middle, on planes [P, 3] of depth."""
+    """Points [3, S, P] in the world at x and y [S, P], in pixels from the image's middle, on planes [P, 3] of depth."""
     depth = plane[:, 0] + plane[:, 1] * x + plane[:, 2] * y
     spread = 1.0 if eye.orthographic else depth
     view = np.stack([(x + eye.width / 2 - eye.cx) / eye.fx * spread, (y + eye.height / 2 - eye.cy) / eye.fy * spread, depth])
     to_world = np.linalg.pinv(eye.world_to_camera)
-    return to_world[:3, :3] @ view + to_world[:3, 3:]
+    return (to_world[:3, :3] @ view.reshape(3, -1) + to_world[:3, 3:]).reshape(view.shape)
 
 
 def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
-    """By lamp, which share of its light comes past the meshes to pixels, as places [S, 3, P] with normals [3, P], and of how many points of
+    """By lamp, which share of its light comes past the meshes to pixels, as places [3, S, P] with normals [3, P], and of how many points of
     the lamp, as if each were as bright: [P, L] each."""
-    scene, middle = Ways(backend, [], light.meshes, moments=light.moments), places.mean(0)
+    scene, middle = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1)
     free, left, squares = np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
         for side in ways.sides(lamp.light, middle):
             at, facing = middle[:, side.rows], normal[:, side.rows]
             for k in np.flatnonzero(bright):
-                each = min(max(round(PLACES * bright[k] / bright.sum()), 1), len(places))
+                each = min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
                 share = bright[k] * lamp.share(k, at, facing)
                 lit = np.flatnonzero(share)
                 if len(lit):
                     rows = side.rows[lit]
-                    turn = (k * each + np.arange(each)) % len(places)
-                    open_ = ways.past(lamp.light, k, side, places[turn][:, :, rows], light.size, light.bias)[0]
+                    turn = (k * each + np.arange(each)) % len(WITHIN)
+                    open_ = ways.past(lamp.light, k, side, places[:, turn][:, :, rows], light.size, light.bias)[0]
                     free[level, rows] += share[lit]
                     left[level, rows] += share[lit] * open_
                     squares[level, rows] += share[lit] ** 2

@@ -19,7 +19,6 @@ from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
 from .holdout import between
 from .instances import Instance
-from .passing import BEHIND
 
 WIDEST = 8.0
 """Tangent up to which a picture from a point of a lamp reaches to each side."""
@@ -85,25 +84,25 @@ class Ways:
         """Which share of the light of a lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
 
         side    of these points
-        places  [S, 3, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
+        places  [3, S, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
                 of the first
         size   pixels of the longer side of the picture, or of a right angle of it
         over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
         """
-        several, _, count = places.shape
-        points = np.ascontiguousarray(places.transpose(0, 2, 1)).reshape(-1, 3)
+        _, several, count = places.shape
+        points = places.reshape(3, -1)
         meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
-        eye = view_from(light.parallel, light.points[number], places.transpose(1, 0, 2).reshape(3, -1), self._around, size)
+        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend)
         if eye is None:
             return meshes, splats
         triangles = self._triangles(0.0 if light.times is None else light.times[number])
         if triangles is not None and len(triangles):
-            found = self.backend.past_triangles(triangles, eye, points, np.full(len(points), float(over_meshes)))
+            found = self.backend.past_triangles(triangles, eye, points, np.full(several * count, float(over_meshes)))
             meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
         if viewed:
             over = np.broadcast_to(np.float64(over_splats), count).copy()
-            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, points[:count], over))
+            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[:, 0], over))
         return meshes, splats
 
     def _triangles(self, time: float) -> np.ndarray | None:
@@ -159,7 +158,7 @@ def _bare(instance: Instance, backend: Any) -> Instance:
     model = instance.model
     opacity = opacities_at(model, instance.t)
     index = np.flatnonzero(opacity >= model.raster.alpha_cut)
-    place, turn = backend.posed(instance, index)
+    place, turn, _ = backend.posed(instance, index)
     scale = np.exp(model.scale[index].astype(np.float64))
     now = Slice(index, place, turn, scale, opacity[index], np.zeros((len(index), 3)), np.zeros((len(index), 3)))
     return replace(instance.part(index, still(model, now)), t=0.0)
@@ -170,11 +169,13 @@ def _bounds(points: np.ndarray) -> np.ndarray:
     return np.array([[row.min(), row.max()] for row in points]).T
 
 
-def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int) -> Camera | None:
+def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int,
+              backend: Any) -> Camera | None:
     """The camera at a point of a lamp that sees all points [3, P], None where they all lie behind it.
 
     around  [Q, 3] points around what may throw shadows on them: the rays of a sun begin before these
     size    pixels of the picture's longer side, or of a right angle where it is wider
+    backend  a loaded backend (util/backends.py)
     """
     low, high = _bounds(points)
     middle = (low + high) / 2
@@ -187,26 +188,23 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
         place = middle - 4 * reach * forward
     pose = np.eye(4)
     pose[:3, :3], pose[:3, 3] = axes, -axes @ place
-    x, y, z = axes @ points - (axes @ place)[:, None]
-    if not parallel:
-        front = z > BEHIND
-        if not front.any():
-            return None
-        x, y, z = x[front], y[front], z[front]
-        x, y = (np.clip(side / z, -WIDEST, WIDEST) for side in (x, y))
-    low, high = _bounds(np.stack([x, y]))
+    box = backend.view_box(points, pose[:3], parallel)
+    if not np.isfinite(box).all():
+        return None
+    low, high = box[:, :2] if parallel else np.clip(box[:, :2], -WIDEST, WIDEST)
     extent = max((high - low).max(), 1e-9 * max(np.abs([low, high]).max(), 1))
     focal = size / (extent if parallel else min(extent, 2.0))
     width, height = np.ceil((high - low) * focal).astype(int) + 3
     cx, cy = 1.5 - low * focal
-    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0, far=float(z.max()))
+    return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0, far=float(box[1, 2]))
 
 
 def across(direction: np.ndarray) -> np.ndarray:
     """Two unit vectors [2, 3] that make a right-handed system with a unit vector."""
-    first = np.cross(np.eye(3)[np.abs(direction).argmin()], direction)
-    first /= np.linalg.norm(first)
-    return np.stack([first, np.cross(direction, first)])
+    (x, y, z), least = direction.tolist(), int(np.abs(direction).argmin())
+    first = np.array([(0, -z, y), (z, 0, -x), (-y, x, 0)][least])  # an axis x the direction
+    a, b, c = first = first / np.linalg.norm(first)
+    return np.array([first, (y * c - z * b, z * a - x * c, x * b - y * a)])
 
 
 def _corners(instances: Sequence[Instance]) -> np.ndarray:

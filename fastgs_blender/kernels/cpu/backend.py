@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import carrying, carving, initial, light, nearest, passing, posing, resample, steps, thinnest, training, visible
+from . import carrying, carving, initial, light, nearest, passing, posing, resample, spots, steps, thinnest, training, visible
 from .decoder import decode_features
 from .expose import expose
 from .holdout import surface
@@ -66,8 +66,9 @@ class CPU:
 
     surface = staticmethod(surface)
     posed, thinnest = staticmethod(posing.posed), staticmethod(thinnest.thinnest)
+    view_box = staticmethod(passing.view_box)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
-    contributing = staticmethod(light.contributing)
+    contributing, spread = staticmethod(light.contributing), staticmethod(spots.spread)
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):

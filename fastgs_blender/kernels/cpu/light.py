@@ -19,11 +19,11 @@ from .rasterise import ENTRIES, RasterState, rasterise_backward, rasterise_forwa
 from .splats import ProjectedSplats, project_instances
 from .tile_lists import list_tiles
 
-SMALL, COARSE = 400, 2
+SMALL, COARSE = 400, 4
 """Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
-WIDER = 2.0
+WIDER = 12.0
 """Factor to the blur of splats there: with 4 those smaller than a pixel hide too much, with 1 they fall between the pixels."""
-BESIDE = 8
+BESIDE = 4
 """Pixels to each side of the picture in which Gaussians are seen, too: they are neighbours of those in it."""
 TILES = 64
 """Tiles in one piece of work."""
@@ -117,7 +117,8 @@ def mark(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, id
                 continue
             mx, my, rx, ry = (geometry[i, raster.MEAN_X] - 0.5, geometry[i, raster.MEAN_Y] - 0.5, attributes[i, raster.RADIUS_X],
                               attributes[i, raster.RADIUS_Y])
-            for y in range(max(north, math.ceil(my - ry)), min(south, math.floor(my + ry) + 1)):
-                for x in range(max(west, math.ceil(mx - rx)), min(east, math.floor(mx + rx) + 1)):
-                    if trace[y - y0, x - 2 * x0 + right] >= k:
-                        marks[i] = True
+            y, low, high = max(north, math.ceil(my - ry)), max(west, math.ceil(mx - rx)), min(east, math.floor(mx + rx) + 1)
+            while y < min(south, math.floor(my + ry) + 1) and not marks[i]:
+                for x in range(low, high):
+                    marks[i] |= trace[y - y0, x - 2 * x0 + right] >= k
+                y += 1

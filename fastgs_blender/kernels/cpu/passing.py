@@ -6,14 +6,18 @@ Splats and triangles are listed by tile, as for a picture; the points of a tile 
 from __future__ import annotations
 
 import numpy as np
+from llvmlite import ir
 from numba import float32
+from numba.core import types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from ...rendering.holdout import EDGE
 from ...rendering.layout import Layout
 from ...rendering.passing import BEHIND
 from ...util.threads import ranges, run, thread_count
 from .. import asserts
-from . import raster
+from . import raster, simd
 from .holdout import Occluder
 from .jit import inline, kernel
 from .rasterise import ENTRIES, TILES
@@ -31,24 +35,37 @@ CHUNK = 16_384
 BATCH = 8
 """Points of a tile that go past its splats together, of neighbouring depths."""
 LAYERS = 2047
-"""By which points are sorted: what is sorted has as many bits as one pass takes."""
+"""Of depth, by which points and splats are sorted: what is sorted has as many bits as one pass takes."""
 DARK = 1e-3
 """Share of the light at which it counts as stopped."""
+CHOICES = np.array([(*(lane for lane in range(8) if bits >> lane & 1), *[0] * (8 - bits.bit_count())) for bits in range(256)], np.int32)
+"""For every choice of eight, by its bits, which they are [256, 8]."""
+_NOWHERE = (np.inf,) * 3 + (-np.inf,) * 3
+"""The box of no points."""
 EXP2 = (0.999999945, 0.693143204, 0.240179499, 0.0552996223, 0.00921088407, 0.00094755432)
 """2^x for x in -1..0 as a polynomial, to 1e-6."""
+
+
+def view_box(points: np.ndarray, view: np.ndarray, parallel: bool) -> np.ndarray:
+    """PictureBackend.view_box()."""
+    asserts.view_box(points, view)
+    rest = points, np.ascontiguousarray(view), bool(parallel)
+    found = np.array(run(lambda a, b: _box(a, b, *rest), ranges(points.shape[1], 4 * CHUNK)) or [_NOWHERE]).reshape(-1, 2, 3)
+    return np.stack([found[:, 0].min(0), found[:, 1].max(0)])
 
 
 def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
     """PictureBackend.past_splats()."""
     asserts.past_splats(points, over)
-    layout, out = Layout(instances, False, plane=True), np.ones(len(points), np.float32)
+    layout, out = Layout(instances, False, plane=True), np.ones(points.shape[1], np.float32)
     splats = project_instances(instances, camera, layout)
-    listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, camera, TILE)
+    order, layer = _by_depth(splats.depth[splats.index], splats.index)
+    listing = TileLists.of(order, splats.geometry, splats.attributes, camera, TILE)
     seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         plane = raster.CHANNEL + layout.places["plane"].start
-        rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, plane, begins, asked, seen, camera.width / 2,
+        rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, plane, layer, begins, asked, seen, camera.width / 2,
                 camera.height / 2, out)
         run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
     return out
@@ -59,7 +76,7 @@ def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> n
     asserts.past_splats(points, over)
     occluder = Occluder.of(triangles, camera)
     seen, begins, asked = _by_tile(occluder.listing.grid, raster.TILE, camera, points, over, False)
-    out = np.ones(len(points), np.float32)
+    out = np.ones(points.shape[1], np.float32)
     rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
     run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
     return out
@@ -70,43 +87,84 @@ def _pieces(tiles: int, least: int = TILES) -> list[tuple[int, int]]:
     return ranges(tiles, max(least, -(-tiles // (4 * thread_count()))))
 
 
+def _by_depth(depth: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float]:
+    """index [V] int32 by layers of depth [V], the nearest first, and how deep a layer is."""
+    if not len(index):
+        return index, 0.0
+    low, high = depth.min(), depth.max()
+    layer = max(float(high - low), 1e-30) / LAYERS
+    return order_by(((depth - low) / layer).astype(np.uint32).view(np.float32), index), layer
+
+
 def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray, by_depth: bool = True):
-    """Points by part of tiles: x and y in pixels and the depth that counts of each [P, 3], where each part's points begin in a list of
+    """Points by part of tiles: x and y in pixels and the depth that counts of each [3, P], where each part's points begin in a list of
     their indices, [parts + 1], and the list, by about their depth, where that is asked for.
 
     size: pixels of a tile's side; its parts, one after another, have PART if by_depth.  Points beside the window are in the nearest part,
     those behind the camera in none.
     """
     split = size // PART if by_depth else 1
-    seen, part, parts = np.zeros((len(points), 3)), np.empty(len(points), np.int32), split**2
-    rest = (points, over, np.ascontiguousarray(camera.world_to_camera[:3]),
+    count, parts = points.shape[1], split**2
+    seen, part = np.empty((3, count)), np.empty(count, np.int32)
+    rest = (np.ascontiguousarray(points), over, np.ascontiguousarray(camera.world_to_camera[:3]),
             tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
-            split, size // split, seen, part)
-    run(lambda a, b: place(a, b, *rest), ranges(len(points), CHUNK))
-    order, depth = np.arange(len(points), dtype=np.int32), seen[:, 2]
+            split, split.bit_length() - 1, size // split, seen, part)
+    run(lambda a, b: place(a, b, *rest), ranges(count, CHUNK))
+    order = np.arange(count, dtype=np.int32)
     if by_depth:
-        low, high = depth.min(), depth.max()
-        order = order_by((LAYERS / max(high - low, 1e-30) * (depth - low)).astype(np.uint32).view(np.float32), order)
+        order, _ = _by_depth(seen[2], order)
     return seen, *list_points(order, part, grid[2] * grid[3] * parts)
 
 
 @kernel
-def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, split, side, seen, part):
-    """Where the points first..last are seen, and in which part of which tile, split x split of each, as _by_tile() says; the number after
-    the last for those in none."""
-    fx, fy, cx, cy = lens
+def _box(first, last, points, view, parallel):
+    """view_box() of the points first..last, as six numbers."""
+    west, north, near, east, south, far = np.inf, np.inf, np.inf, -np.inf, -np.inf, -np.inf
     for p in range(first, last):
-        x = view[0, 0] * points[p, 0] + view[0, 1] * points[p, 1] + view[0, 2] * points[p, 2] + view[0, 3]
-        y = view[1, 0] * points[p, 0] + view[1, 1] * points[p, 1] + view[1, 2] * points[p, 2] + view[1, 3]
-        z = view[2, 0] * points[p, 0] + view[2, 1] * points[p, 1] + view[2, 2] * points[p, 2] + view[2, 3]
-        part[p] = columns * rows * split * split
-        if not z > BEHIND:
-            continue
-        unit = 1.0 if orthographic else 1.0 / z
-        seen[p, 0], seen[p, 1], seen[p, 2] = fx * x * unit + cx, fy * y * unit + cy, z - over[p]
-        column = np.int64(min(max(seen[p, 0] / side - tile_x * split, 0.0), columns * split - 1.0))
-        row = np.int64(min(max(seen[p, 1] / side - tile_y * split, 0.0), rows * split - 1.0))
-        part[p] = (row // split * columns + column // split) * split * split + row % split * split + column % split
+        x = view[0, 0] * points[0, p] + view[0, 1] * points[1, p] + view[0, 2] * points[2, p] + view[0, 3]
+        y = view[1, 0] * points[0, p] + view[1, 1] * points[1, p] + view[1, 2] * points[2, p] + view[1, 3]
+        z = view[2, 0] * points[0, p] + view[2, 1] * points[1, p] + view[2, 2] * points[2, p] + view[2, 3]
+        if parallel or z > BEHIND:
+            unit = 1.0 if parallel else 1.0 / z
+            x, y = x * unit, y * unit
+            west, north, near = min(west, x), min(north, y), min(near, z)
+            east, south, far = max(east, x), max(south, y), max(far, z)
+    return west, north, near, east, south, far
+
+
+@kernel
+def place(first, last, points, over, view, lens, orthographic, tile_x, tile_y, columns, rows, split, shift, side, seen, part):
+    """Where the points first..last are seen, and in which part of which tile, as _by_tile() says; the number after the last for those in
+    none.  Tiles have split x split parts of so many pixels' side; split is 2^shift."""
+    fx, fy, cx, cy = lens
+    for p in range(first, last):  # several loops, as each of them becomes vectors
+        unit = _unit(points, p, view, orthographic)
+        seen[0, p] = fx * _along(points, p, view, 0) * unit + cx
+    for p in range(first, last):
+        unit = _unit(points, p, view, orthographic)
+        seen[1, p] = fy * _along(points, p, view, 1) * unit + cy
+    for p in range(first, last):
+        seen[2, p] = _along(points, p, view, 2) - over[p]
+    per_side, left, top, right, bottom = 1.0 / side, float(tile_x * split), float(tile_y * split), columns * split - 1.0, rows * split - 1.0
+    across, bits, mask, none = np.int32(columns), np.int32(shift), np.int32(split - 1), np.int32(columns * rows * split * split)
+    for p in range(first, last):
+        column = np.int32(min(max(seen[0, p] * per_side - left, 0.0), right))
+        row = np.int32(min(max(seen[1, p] * per_side - top, 0.0), bottom))
+        number = ((((row >> bits) * across + (column >> bits)) << bits) + (row & mask) << bits) + (column & mask)
+        part[p] = number if _along(points, p, view, 2) > BEHIND else none
+
+
+@inline
+def _along(points, p, view, row):
+    """A point's place along an axis of a view [3, 4]."""
+    return view[row, 0] * points[0, p] + view[row, 1] * points[1, p] + view[row, 2] * points[2, p] + view[row, 3]
+
+
+@inline
+def _unit(points, p, view, orthographic):
+    """By what a point's place is multiplied on its way into the picture."""
+    z = _along(points, p, view, 2)
+    return 1.0 / (1.0 if orthographic or not z > BEHIND else z)
 
 
 @kernel
@@ -140,11 +198,12 @@ def exp2(x):
 
 
 @kernel
-def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, begins, asked, seen, middle_x, middle_y,
-                out):
-    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes."""
+def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, attributes, plane, layer, begins, asked, seen, middle_x,
+                middle_y, out):
+    """The transmittance of the splats before each point of the tiles first..last, in out [P]; plane: the first column of their planes;
+    layer: how deep the layers are in which the splats are listed, the nearest first."""
     state, box, splat = np.empty((4, BATCH), np.float32), np.empty((4, 0), np.float32), np.empty((0, 12), np.float32)
-    near, inside = np.empty(0, np.int32), np.empty(0, np.bool_)
+    near = np.empty(0, np.int32)
     px, py, limit, light = state[0], state[1], state[2], state[3]
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
@@ -152,21 +211,22 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
             continue
         left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
         if len(splat) < total:
-            box, splat = np.empty((4, 2 * total), np.float32), np.empty((2 * total, 12), np.float32)
-            near, inside = np.empty(2 * total, np.int32), np.empty(2 * total, np.bool_)
+            box, splat = np.empty((4, 2 * total + simd.LANES), np.float32), np.empty((2 * total, 12), np.float32)
+            near = np.empty(2 * total + simd.LANES, np.int32)
         gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, box, splat)
         for part in range(tile * PARTS, (tile + 1) * PARTS):
             if begins[part] == begins[part + 1]:
                 continue
-            found = pick(begins[part], begins[part + 1], asked, seen, left, top, total, box, inside, near)
+            found = pick(begins[part], begins[part + 1], asked, seen, left, top, total, box, near)
             for begin in range(begins[part], begins[part + 1], BATCH):
                 count, farthest = min(BATCH, begins[part + 1] - begin), float32(-np.inf)
                 for j in range(BATCH):
                     light[j], px[j], py[j], limit[j] = float32(1.0), float32(0.0), float32(0.0), float32(-np.inf)
                     if j < count:
                         p = asked[begin + j]
-                        px[j], py[j], limit[j] = within(seen[p, 0] - left), within(seen[p, 1] - top), seen[p, 2]
+                        px[j], py[j], limit[j] = within(seen[0, p] - left), within(seen[1, p] - top), seen[2, p]
                         farthest = max(farthest, limit[j])
+                farthest += float32(1.01 * layer)
                 for n in range(found):
                     k = near[n]
                     depth, mx, my, a, b, c = splat[k, 0], splat[k, 1], splat[k, 2], splat[k, 3], splat[k, 4], splat[k, 5]
@@ -197,28 +257,48 @@ def within(x):
 
 
 @inline
-def pick(begin, end, asked, seen, left, top, total, box, inside, near):
-    """Which of a tile's splats reach the box around the points begin..end of a part, into near; returns their number.
-
-    inside [splats] is scratch: what is told first of all of them takes vector instructions.
-    """
+def pick(begin, end, asked, seen, left, top, total, box, near):
+    """Which of a tile's splats reach the box around the points begin..end of a part, into near; returns their number."""
     west, east, north, south = float32(np.inf), float32(-np.inf), float32(np.inf), float32(-np.inf)
     for q in range(begin, end):
-        x, y = float32(within(seen[asked[q], 0] - left)), float32(within(seen[asked[q], 1] - top))
+        x, y = float32(within(seen[0, asked[q]] - left)), float32(within(seen[1, asked[q]] - top))
         west, east, north, south = min(west, x), max(east, x), min(north, y), max(south, y)
-    for k in range(total):
-        inside[k] = (box[0, k] >= west) & (box[1, k] <= east) & (box[2, k] >= north) & (box[3, k] <= south)
     found = 0
-    for k in range(total):
-        near[found] = k
-        found += inside[k]
+    for k in range(0, total, simd.LANES):
+        found = keep8(box, box.shape[1], k, west, east, north, south, CHOICES, near, found)
     return found
+
+
+@intrinsic
+def keep8(context, box, stride, k, west, east, north, south, choices, near, found):
+    """Write those of the splats k..k + 8 that reach a box to near[found:], which has room for eight; returns how many there are then.
+
+    box [4, stride]: the boxes that splats fill, as gather() writes them; choices: CHOICES
+    """
+    def build(context, b, signature, args):
+        memory, at = simd.Memory(context, b, signature.args[0], args[0]), args[2]
+        sides = []
+        for edge in args[3:7]:
+            sides.append((memory.floats(at, 0), simd.broadcast(b, edge)))
+            at = b.add(at, args[1])
+        inside = [right >= edge if high else edge >= right for (right, edge), high in zip(sides, (True, False, True, False))]
+        bits = b.bitcast(b.and_(b.and_(inside[0], inside[1]), b.and_(inside[2], inside[3])), ir.IntType(simd.LANES))
+        rows, out = (make_array(signature.args[i])(context, b, args[i]).data for i in (7, 8))
+        row = b.mul(b.zext(bits, args[2].type), ir.Constant(args[2].type, simd.LANES))
+        chosen = b.load(b.bitcast(b.gep(rows, [row]), simd.INTS.as_pointer()), align=4)
+        first = b.insert_element(ir.Constant(simd.INTS, ir.Undefined), b.trunc(args[2], ir.IntType(32)), ir.Constant(ir.IntType(32), 0))
+        chosen = b.add(chosen, b.shuffle_vector(first, first, ir.Constant(simd.INTS, [0] * simd.LANES)))
+        b.store(chosen, b.bitcast(b.gep(out, [args[9]]), simd.INTS.as_pointer()), align=4)
+        return b.add(args[9], b.zext(b.ctpop(bits), args[9].type))
+
+    number = types.float32
+    return types.intp(box, types.intp, types.intp, number, number, number, number, choices, near, types.intp), build
 
 
 @inline
 def gather(start, total, ids, geometry, attributes, plane, left, top, from_middle_x, from_middle_y, box, splat):
-    """What transmitted() reads of the splats of a tile's list, pixels counted from its corner: the boxes that they fill [4, splats], and
-    the rest of each side by side [splats, 12]."""
+    """What transmitted() reads of the splats of a tile's list, pixels counted from its corner: the boxes that they fill [4, splats], with
+    eight empty ones after them, and the rest of each side by side [splats, 12]."""
     for k in range(total):
         i = ids[start + k]
         mx, my = geometry[i, raster.MEAN_X] - left, geometry[i, raster.MEAN_Y] - top
@@ -230,6 +310,8 @@ def gather(start, total, ids, geometry, attributes, plane, left, top, from_middl
         splat[k, 6] = attributes[i, plane] + slope_x * from_middle_x + slope_y * from_middle_y
         splat[k, 7], splat[k, 8], splat[k, 9] = slope_x, slope_y, attributes[i, raster.LOG2_OPACITY]
         splat[k, 10], splat[k, 11] = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
+    for k in range(total, total + simd.LANES):
+        box[0, k] = -np.inf
 
 
 @kernel
@@ -250,7 +332,7 @@ def open_ways(first, last, starts, ids, screen, orthographic, begins, asked, see
             box[3, k] = max(corner[0, 1], corner[1, 1], corner[2, 1]) + 2 * EDGE
         for q in range(begins[tile], begins[tile + 1]):
             p = asked[q]
-            x, y, limit = seen[p, 0], seen[p, 1], seen[p, 2]
+            x, y, limit = seen[0, p], seen[1, p], seen[2, p]
             for k in range(total):
                 if (x < box[0, k]) | (x > box[1, k]) | (y < box[2, k]) | (y > box[3, k]):
                     continue

@@ -9,9 +9,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+from llvmlite import ir
 from numba import float32
-from numba.core import types
+from numba.core import cgutils, types
 from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from ...util.threads import ranges, run
 from .. import asserts
@@ -34,9 +36,9 @@ SUMS = 10
 """Of the weights, the places (3) and the moments (6) around each Gaussian."""
 
 
-def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
+def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest()."""
-    asserts.thinnest(places, spreads, weights)
+    asserts.thinnest(places, axes, weights)
     out = np.zeros((len(places) if rows is None else len(rows), 3))
     if not len(out):
         return out
@@ -46,8 +48,9 @@ def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach
     key = (x * wide + y) * deep + z
     beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
     order = np.argsort(key, kind="stable")
-    about, key = np.empty((len(order), 1 + spreads.shape[1]), np.float32), key[order]
-    about[:, 0], about[:, 1:] = weights[order], spreads[order]
+    about, sorted_, key = np.empty((len(order), 7), np.float32), np.empty((len(order), 3)), key[order]
+    rest = order, np.ascontiguousarray(places), np.ascontiguousarray(axes), weights, about, sorted_
+    run(lambda begin, end: _sorted(begin, end, *rest), ranges(len(order), CHUNK))
     who, into = np.arange(len(order)), order
     if rows is not None:
         number = np.full(len(order), -1)
@@ -56,34 +59,54 @@ def thinnest(places: np.ndarray, spreads: np.ndarray, weights: np.ndarray, reach
         into = number[order[who]]
     runs = np.floor(cells[2] / RUN)
     lines = (key // deep * (deep // RUN + 2) + (np.clip(runs - runs.min(), 0, FARTHEST)[order]).astype(np.int64))[who]
-    args = places[order], about, key, lines, who, beside, float(reach), into, out
+    args = sorted_, about, key, lines, who, beside, float(reach), into, out
     run(lambda begin, end: _thinnest(begin, end, *args), ranges(len(who), CHUNK))
     return out
 
 
+@kernel
+def _sorted(begin, end, order, places, axes, weights, about, sorted_):
+    """The Gaussians order[begin:end], one after another: their weights and covariances, in about [N, 7], and their places [N, 3]."""
+    for k in range(begin, end):
+        n = order[k]
+        about[k, 0] = weights[n]
+        sorted_[k, 0], sorted_[k, 1], sorted_[k, 2] = places[n, 0], places[n, 1], places[n, 2]
+        column = 1
+        for i in range(3):
+            for j in range(i, 3):
+                about[k, column] = axes[i, 0, n] * axes[j, 0, n] + axes[i, 1, n] * axes[j, 1, n] + axes[i, 2, n] * axes[j, 2, n]
+                column += 1
+
+
 @intrinsic
-def weigh8(context, state, about, n, x, y, z, square):
-    """Add the Gaussian n at (x, y, z) to the sums of eight others: state [3 + SUMS, 8] is their places and then the sums; `square` is
-    1 / reach^2, about [N, 7] the Gaussian's weight and spread."""
+def weigh8(context, state, about, places, first, last, x, y, z, square):
+    """Add the Gaussians first..last to the sums of eight others: state [3 + SUMS, 8] is their places, from (x, y, z), and then the sums.
+
+    about [N, 7]: the Gaussians' weights and spreads; places [N, 3]: where they are; square: 1 / reach^2
+    """
     def build(context, b, signature, args):
         state, about = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 1))
-        start = simd.ir.Constant(args[2].type, 0)
-        x, y, z, square = (simd.broadcast(b, value) for value in args[3:])
-        dx, dy, dz = (value - state.floats(start, simd.LANES * axis) for axis, value in enumerate((x, y, z)))
-        near = simd.constant(b, 1.0) - (dx * dx + dy * dy + dz * dz) * square
-        with b.if_then(simd.any_of(b, near > 0.0)):
-            near = near.max(0.0)
-            row = b.mul(args[2], simd.ir.Constant(args[2].type, 7))
+        where, start = make_array(signature.args[2])(context, b, args[2]).data, ir.Constant(args[3].type, 0)
+        own, square = [state.floats(start, simd.LANES * axis) for axis in range(3)], simd.broadcast(b, args[8])
+        sums = [simd.Sum(b) for _ in range(SUMS)]
+        with cgutils.for_range_slice(b, args[3], args[4], ir.Constant(args[3].type, 1)) as (n, _):
+            row = b.mul(n, ir.Constant(n.type, 3))
+            there = [b.load(b.gep(where, [b.add(row, ir.Constant(n.type, axis))])) for axis in range(3)]
+            dx, dy, dz = (simd.broadcast(b, b.fptrunc(b.fsub(at, corner), ir.FloatType())) - mine
+                          for at, corner, mine in zip(there, args[5:8], own, strict=True))
+            near, row = (simd.constant(b, 1.0) - (dx * dx + dy * dy + dz * dz) * square).max(0.0), b.mul(n, ir.Constant(n.type, 7))
             w, xx, xy, xz, yy, yz, zz = (simd.broadcast(b, about.scalar(row, column)) for column in range(7))
             w = w * near * near
             wx, wy, wz = w * dx, w * dy, w * dz
             moments = w * xx + wx * dx, w * xy + wx * dy, w * xz + wx * dz, w * yy + wy * dy, w * yz + wy * dz, w * zz + wz * dz
-            for place, term in enumerate((w, wx, wy, wz, *moments), 3):
-                state.store(start, simd.LANES * place, state.floats(start, simd.LANES * place) + term)
+            for total, term in zip(sums, (w, wx, wy, wz, *moments), strict=True):
+                total.add(term)
+        for place, total in enumerate(sums, 3):
+            state.store(start, simd.LANES * place, state.floats(start, simd.LANES * place) + total.value())
         return context.get_dummy_value()
 
-    number = types.float32
-    return types.void(state, about, types.intp, number, number, number, number), build
+    number = types.float64
+    return types.void(state, about, places, types.intp, types.intp, number, number, number, types.float32), build
 
 
 @kernel
@@ -114,8 +137,7 @@ def _thinnest(begin, end, places, about, keys, lines, who, beside, reach, into, 
             last[row] = max(last[row], first[row])
             while last[row] < len(keys) and keys[last[row]] <= keys[who[q - 1]] + beside[row] + 1:
                 last[row] += 1
-            for n in range(first[row], last[row]):
-                weigh8(state, about, n, float32(places[n, 0] - x), float32(places[n, 1] - y), float32(places[n, 2] - z), square)
+            weigh8(state, about, places, first[row], last[row], x, y, z, square)
         for k in range(p, q):
             j = k - p
             total = max(np.float64(state[3, j]), 1e-30)

@@ -28,7 +28,7 @@ def past(models, points, light, meshes=None, backend="cpu", **over):
     points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
     for side in ways.sides(light, points.T):
         for k in range(len(light.points)):
-            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[None, :, side.rows], 256, **over)) / len(light.points)
+            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[:, None, side.rows], 256, **over)) / len(light.points)
     return found
 
 
