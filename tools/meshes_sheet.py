@@ -84,8 +84,8 @@ def build():
     ball()
     bpy.ops.fastgs.add_light_probe()  # around the ball, which is active
     ground()
-    lamp("Sun", 'SUN', (-2.4, -4.0, 2.6), (0, 0, 0), energy=1.8, angle=0.03, color=(1.0, 0.93, 0.82))
-    lamp("Footlight", 'AREA', (1.25, -1.65, 0.12), (0, 0, 0.7), energy=30, size=0.25, color=(0.9, 0.95, 1.0))
+    lamp("Sun", 'SUN', (-2.4, -4.0, 2.6), (0, 0, 0), energy=2.4, angle=0.03, color=(1.0, 0.93, 0.82))
+    lamp("Footlight", 'AREA', (1.25, -1.65, 0.12), (0, 0, 0.7), energy=12, size=0.25, color=(0.9, 0.95, 1.0))
     film(scene)
     return scene
 

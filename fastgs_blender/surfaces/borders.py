@@ -12,6 +12,10 @@ SHARP = np.cos(np.radians(25.0))
 domes have holes where borders cross."""
 FLAT = 1.5
 """By how much farther a border counts across which the surface goes on without a bend: Gaussians of both sides have to close it alone."""
+BENT = 2.0
+"""The same, at most, where the surface bends by less than a right angle: what reaches beyond the edge sticks out by the sine of the angle
+alone.  With 1 three times as many pixels of folds of 30 degrees have less than 95 % alpha; a faceted Suzanne covers
+0.46 % too many, not 0.6."""
 SAME_SIDE = 0.7
 """Least cosine between the normals of a sample and of a border's triangle for both to lie on one surface."""
 
@@ -21,14 +25,14 @@ CROSSING = 0.7
 
 @dataclass(frozen=True, eq=False)
 class Borders:
-    """The M sides of borders: start, end [M, 3]; the triangle's normal and the direction into it across the edge [M, 3]; whether the
-    surface goes on there without a bend [M]."""
+    """The M sides of borders: start, end [M, 3]; the triangle's normal and the direction into it across the edge [M, 3]; by which factor
+    they count as farther away [M]."""
 
     start: np.ndarray
     end: np.ndarray
     normal: np.ndarray
     inward: np.ndarray
-    flat: np.ndarray
+    farther: np.ndarray
 
 
 @dataclass(frozen=True, eq=False)
@@ -83,9 +87,11 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, s
     edges = mesh_edges(points, triangles)
     if not len(edges.side):
         none = np.zeros((0, 3))
-        return Borders(none, none, none, none, np.zeros(0, bool))
+        return Borders(none, none, none, none, np.zeros(0))
     one, other = edges.side[edges.first], edges.side[np.minimum(edges.first + 1, len(edges.side) - 1)]
-    flat = (edges.count == 2) & (np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]) >= SHARP)
+    cosine = np.where(edges.count == 2, np.einsum("nd,nd->n", normal[one // 3], normal[other // 3]), 0)
+    flat = cosine >= SHARP
+    farther = np.where(flat, FLAT, np.minimum(1 / np.sqrt(1 - np.clip(cosine, 0, SHARP) ** 2), BENT))
     smooth = flat & (patch[one // 3] == patch[other // 3])
     if seam is not None:
         smooth &= ~seam.ravel()[one]
@@ -94,7 +100,7 @@ def find_borders(points: np.ndarray, triangles: np.ndarray, patch: np.ndarray, s
     inward = np.cross(normal[t], end - start)
     inward *= np.sign(np.einsum("nd,nd->n", inward, opposite - start))[:, None]
     length = np.linalg.norm(inward, axis=1, keepdims=True)
-    return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30), np.repeat(flat[~smooth], edges.count[~smooth]))
+    return Borders(start, end, normal[t], inward / np.maximum(length, 1e-30), np.repeat(farther[~smooth], edges.count[~smooth]))
 
 
 def welded(points: np.ndarray) -> np.ndarray:
@@ -128,7 +134,7 @@ def distance_to_borders(borders: Borders, position: np.ndarray, normal: np.ndarr
     d = np.linalg.norm(offset, axis=1)
     near = ((d < reach) & (np.einsum("nd,nd->n", normal[i], borders.normal[j]) > SAME_SIDE)
             & (np.einsum("nd,nd->n", offset, borders.inward[j]) >= -1e-6 * reach))
-    i, j, d = i[near], j[near], np.minimum(d * np.where(borders.flat[j], FLAT, 1), reach)[near]
+    i, j, d = i[near], j[near], np.minimum(d * borders.farther[j], reach)[near]
     order = np.lexsort((d, i))
     i, j, d = i[order], j[order], d[order]
     found, first = np.unique(i, return_index=True)

@@ -261,6 +261,19 @@ def test_outlines_are_no_thicker_than_the_surface():
     assert fg.render(model, camera, 0)["alpha"].sum() == pytest.approx(area, rel=0.035)
 
 
+def test_folds_are_closed():
+    """Strips that are folded up and down by 30 degrees, from above: hardly anything is seen through their edges."""
+    half, strips = np.radians(15.0), np.arange(9)
+    row = 0.2 * np.c_[strips * np.cos(half), 0 * strips, strips % 2 * np.sin(half)]
+    points = np.concatenate([row, row + [0, 1.5, 0]]).astype(np.float32)
+    triangles = np.array([each for k in range(8) for each in ((k, k + 1, 9 + k), (k + 1, 10 + k, 9 + k))])
+    model, _ = fg.bake(points[None], triangles, count=6000)
+    middle = points.mean(0)
+    camera = fg.Camera(300, 300, 400, 400, 150, 150, fg.look_at(middle + [0, -0.3, -2.5], middle))
+    alpha = fg.render(model, camera)["alpha"][70:230, 90:210]
+    assert np.mean(alpha < 0.95) < 0.015
+
+
 def test_a_speckled_texture_leaves_no_holes():
     points, triangles = grid(1)
 
