@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""How many Gaussians suit a capture, and the time and the memory of a run before it starts, on this machine's processor."""
+"""What suits a capture and the length of a run, and the time and the memory of a run before it starts, on this machine's processor."""
 import os
 from dataclasses import replace
 
@@ -16,6 +16,8 @@ ROOM, MOST_ROOMS = 2.5e6, 3.0
 """Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
 larger rig gets at most.  31 cameras of 640 x 360 around a hall show more than 18 of 480 x 360 around one room
 (docs/notes/reconstruction.md)."""
+CALM = 7000 * 50_000
+"""Steps times Gaussians from which on slopes have the whole floor."""
 FRAMES = 100
 """Frames of a segment for which the presets' numbers of steps are; a longer one gets as many more."""
 
@@ -31,6 +33,15 @@ def rooms(pixels: float) -> float:
 def longer(frames: int) -> float:
     """By how much a segment of so many frames is longer than those that the presets' steps suit; at least 1."""
     return max(frames / FRAMES, 1.0)
+
+
+def calm(iterations: int, max_gaussians: int) -> float:
+    """The share of the usual floor under slopes (schedule.slope_floors) that a run asks for, 0 to 1.
+
+    The floor shortens walks at random, and what has a clear slope goes more slowly by it too.  A walk goes as far as the root of the steps,
+    and Gaussians are as small as the root of their number: so a draft, of fewer steps and larger Gaussians, needs less of it.
+    """
+    return min(iterations * max_gaussians / CALM, 1.0)
 
 
 def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: float = 0, frames: int = 0) -> tuple[int, int]:

@@ -75,7 +75,8 @@ class Settings:
     # the focal length in pixels, 0.8 of a pixel where that is 500
     position_rate: float = _number(1.6e-3, 0, 1)
     position_rate_end: float = _number(1.6e-6, 0, 1)
-    slope_floor: float = _number(3e-4, 0, 1)  # below such slopes of the loss, places and motion take shorter steps (schedule.slope_floors)
+    # below such slopes of the loss, places and motion take shorter steps (schedule.slope_floors); less in short runs (costs.calm)
+    slope_floor: float = _number(3e-4, 0, 1)
     motion_rate: float = _number(1e-3, 0, 1)  # of frequency 1; divided by k for frequency k
     motion_decay: float = _number(0.1, 0, 1)  # end of the motion's rate, as a fraction of its beginning
     warm_start_rate: float = _number(0.1, 0, 1)  # factor on both where training begins with a model; its root for shapes

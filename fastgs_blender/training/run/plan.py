@@ -16,7 +16,7 @@ from ...captures.scan import with_scan
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ..core.costs import longer, rooms
+from ..core.costs import calm, longer, rooms
 from ..core.presets import LENGTHS, WARM_START
 from ..core.settings import Settings, from_dict
 from ..core.spans import spans
@@ -140,8 +140,8 @@ def begin(out: str | Path, wanted: dict, make: Callable[[dict], Settings], resum
 
 
 def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) -> Settings:
-    """The settings for a new run on this capture: more Gaussians for a large rig (costs.rooms) and more steps for long segments
-    (costs.longer); where the capture brings a model to begin with, steps and motion as that needs.
+    """The settings for a new run on this capture: more Gaussians for a large rig (costs.rooms), more steps for long segments (costs.longer)
+    and a lower floor under slopes for drafts (costs.calm); where the capture brings a model to begin with, steps and motion as that needs.
 
     named  the settings that were asked for by name, which stay
     """
@@ -158,11 +158,14 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
 
 
 def _for_its_size(settings: Settings, capture: Capture, frames: int, named: Collection[str]) -> Settings:
-    """The settings with as many Gaussians and starting points as the training cameras show, and steps as the frames of a segment ask."""
+    """The settings with as many Gaussians and starting points as the training cameras show, steps as the frames of a segment ask, and the
+    floor under slopes that suits these."""
     sizes = {shot.view: shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None}
     times = dict.fromkeys(("max_gaussians", "init_points"), rooms(sum(sizes.values())))
     times["iterations"] = longer(frames)
-    return replace(settings, **{name: round(factor * getattr(settings, name)) for name, factor in times.items() if name not in named})
+    sized = replace(settings, **{name: round(factor * getattr(settings, name)) for name, factor in times.items() if name not in named})
+    share = 1.0 if "slope_floor" in named else calm(sized.iterations, sized.max_gaussians)
+    return replace(sized, slope_floor=share * sized.slope_floor)
 
 
 def _continued(out: Path, old: Source, new: Source) -> Source:

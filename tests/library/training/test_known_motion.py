@@ -65,7 +65,9 @@ def test_a_run_follows_its_capture_s_model_and_goes_on_without_it(swinging, tmp_
     chosen = suited(draft, opened)
     assert chosen.order == following(opened, draft).order > 0 and chosen.iterations < draft.iterations
     assert suited(draft, opened, ("order", "iterations", "rotation_degree", "warm_up")) == draft
-    assert suited(draft, replace(opened, model=None)) == draft and suited(settings(), opened).iterations == settings().iterations
+    plain = replace(opened, model=None)
+    assert replace(suited(draft, plain), slope_floor=draft.slope_floor) == draft
+    assert suited(settings(), opened).iterations == settings().iterations
     parts = suited(settings(segment_frames=8, segment_overlap=2), opened)
     assert 0 < parts.order < chosen.order and parts.rotation_degree > 1
 

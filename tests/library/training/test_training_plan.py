@@ -73,6 +73,16 @@ def test_a_long_segment_gets_more_steps(frames, steps):
     assert suited(settings(iterations=50), capture, ("iterations",)).iterations == 50
 
 
+def test_a_draft_has_less_of_a_floor_under_slopes():
+    """In proportion to its steps and Gaussians; longer runs and larger rigs have all of it."""
+    capture = toy_capture(frames=2)[0]
+    whole = settings().slope_floor
+    assert [suited(settings(preset), capture).slope_floor for preset in ("standard", "final")] == [whole] * 2
+    assert suited(settings("draft"), capture).slope_floor == pytest.approx(whole / 7)
+    assert suited(settings(iterations=3500), capture, ("iterations",)).slope_floor == pytest.approx(whole / 2)
+    assert suited(settings("draft", slope_floor=whole), capture, ("slope_floor",)).slope_floor == whole
+
+
 @pytest.mark.parametrize(("options", "words"), [
     (["--scale", "1"], "scale = 0.5, not 1.0"), (["--frames", "0:3"], "frames = 1, 4, 1, not 0, 4, 1"),
     (["--held-out", "cam00"], "held_out = cam01, cam03, not cam00"), (["--layout", "colmap"], "layout = its default, not colmap"),
