@@ -122,7 +122,7 @@ class SceneLight:
     def _arriving(self, spots: Spots, casting: list[Instance], backend: Any, progress: Callable[[float], None]) -> np.ndarray:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
-        total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)))
+        total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)), np.float32)
         scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1, self.moments)
         for number, lamp in enumerate(self.lamps):
             ways, colour = scene.of_lamp(lamp.name, self.clear.get(lamp.name)), lamp.colour / len(lamp.colour)

@@ -120,7 +120,7 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
 
 def _changed(blended: Any, at: tuple[np.ndarray, ...], light: np.ndarray, space: str) -> np.ndarray:
     """A picture [h, w, 3] with the light [P, 3] that some of its pixels have now."""
-    out, alpha, linear = blended.rgb.copy(), blended.alpha[at], np.maximum(light, 0)
+    out, alpha, linear = blended.rgb.copy(), blended.alpha[at], np.maximum(light, 0).astype(blended.rgb.dtype)
     out[at] = linear_to_srgb(straight(linear, alpha)) * alpha[:, None] if space == "srgb" else linear
     return out
 
@@ -155,7 +155,7 @@ class _Drawn:
         if not len(rows):
             return
         self.one, x, y, plane, at = one[rows], x[rows], y[rows], plane[rows], _rows(at, rows)
-        rgb, alpha, numbers, normal = (array[at].astype(np.float64) for array in (rgb, alpha, numbers, sums["normal"]))
+        rgb, alpha, numbers, normal = (array[at] for array in (rgb, alpha, numbers, sums["normal"]))
         numbers /= alpha[:, None, None]
         places = _points(eye, plane, *(side + WITHIN[:, axis:axis + 1] for axis, side in enumerate((x, y))))
         normal /= np.maximum(np.sqrt(np.einsum("pi,pi->p", normal, normal)), 1e-30)[:, None]

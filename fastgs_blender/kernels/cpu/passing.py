@@ -36,6 +36,8 @@ BATCH = 8
 """Points of a tile that go past its splats together, of neighbouring depths."""
 LAYERS = 2047
 """Of depth, by which points and splats are sorted: what is sorted has as many bits as one pass takes."""
+BESIDE = 0.01
+"""Pixels by which a triangle's box is wider than the triangle: more than EDGE, and than float32 rounds a place in a picture by."""
 DARK = 1e-3
 """Share of the light at which it counts as stopped."""
 CHOICES = np.array([(*(lane for lane in range(8) if bits >> lane & 1), *[0] * (8 - bits.bit_count())) for bits in range(256)], np.int32)
@@ -317,26 +319,28 @@ def gather(start, total, ids, geometry, attributes, plane, left, top, from_middl
 @kernel
 def open_ways(first, last, starts, ids, screen, orthographic, begins, asked, seen, out):
     """Out [P] is 0 for those points of the tiles first..last before which a triangle lies."""
-    box = np.empty((4, 0))
+    box, near = np.empty((4, 0), np.float32), np.empty(0, np.int32)
     for tile in range(first, last):
         total = starts[tile + 1] - starts[tile]
         if total == 0 or begins[tile] == begins[tile + 1]:
             continue
-        if box.shape[1] < total:
-            box = np.empty((4, 2 * total))
+        if len(near) < total + simd.LANES:
+            box, near = np.empty((4, 2 * total + simd.LANES), np.float32), np.empty(2 * total + simd.LANES, np.int32)
         for k in range(total):
             corner = screen[ids[starts[tile] + k]]
-            box[0, k] = min(corner[0, 0], corner[1, 0], corner[2, 0]) - 2 * EDGE
-            box[1, k] = max(corner[0, 0], corner[1, 0], corner[2, 0]) + 2 * EDGE
-            box[2, k] = min(corner[0, 1], corner[1, 1], corner[2, 1]) - 2 * EDGE
-            box[3, k] = max(corner[0, 1], corner[1, 1], corner[2, 1]) + 2 * EDGE
+            box[0, k] = max(corner[0, 0], corner[1, 0], corner[2, 0]) + BESIDE
+            box[1, k] = min(corner[0, 0], corner[1, 0], corner[2, 0]) - BESIDE
+            box[2, k] = max(corner[0, 1], corner[1, 1], corner[2, 1]) + BESIDE
+            box[3, k] = min(corner[0, 1], corner[1, 1], corner[2, 1]) - BESIDE
+        for k in range(total, total + simd.LANES):
+            box[0, k] = -np.inf
         for q in range(begins[tile], begins[tile + 1]):
             p = asked[q]
-            x, y, limit = seen[0, p], seen[1, p], seen[2, p]
-            for k in range(total):
-                if (x < box[0, k]) | (x > box[1, k]) | (y < box[2, k]) | (y > box[3, k]):
-                    continue
-                corner = screen[ids[starts[tile] + k]]
+            x, y, limit, found = seen[0, p], seen[1, p], seen[2, p], 0
+            for k in range(0, total, simd.LANES):
+                found = keep8(box, box.shape[1], k, float32(x), float32(x), float32(y), float32(y), CHOICES, near, found)
+            for n in range(found):
+                corner = screen[ids[starts[tile] + near[n]]]
                 area, depth, above, below = 0.0, 0.0, True, True
                 for i in range(3):
                     j, m = (i + 1) % 3, (i + 2) % 3
