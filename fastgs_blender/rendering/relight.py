@@ -129,7 +129,7 @@ class SceneLight:
             shares, rows = _shares(lamp, spots)
             lit = spots.part(rows)
             sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
-            sums, alike = np.zeros((4, 3, len(rows))), np.zeros((4, len(rows)))
+            alike, full = np.zeros((4, len(rows))), np.zeros((4, 1, len(spots)), np.float32)
             for k, share in enumerate(shares):
                 alike[0] += share
                 for side, part in sides:
@@ -140,11 +140,11 @@ class SceneLight:
                     alike[2, at] += left * splats
                     alike[3, at] += share[at] * splats
                 if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
-                    sums += alike[:, None] * colour[k][:, None]
+                    for (row,), sums in zip(full, alike, strict=True):
+                        row[rows] = sums
+                    total[self.levels[number]] += full * colour[k][:, None].astype(np.float32)
                     alike[:] = 0
                 progress((number + (k + 1) / len(colour)) / len(self.lamps))
-            for row, more in zip(total[self.levels[number]].reshape(12, -1), sums.reshape(12, -1), strict=True):
-                row[rows] += more
         return total
 
     def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: Spots, backend: Any) -> tuple[np.ndarray, np.ndarray]:

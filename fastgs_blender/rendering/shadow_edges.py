@@ -291,8 +291,8 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
                 lit = np.flatnonzero(share)
                 if len(lit):
                     rows = side.rows[lit]
-                    turn = (k * each + np.arange(each)) % len(WITHIN)
-                    open_ = ways.past(lamp.light, k, side, places[:, turn][:, :, rows], light.size, light.bias)[0]
+                    own = np.take(places[:, (k * each + np.arange(each)) % len(WITHIN)], rows, 2)
+                    open_ = ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
                     free[level, rows] += share[lit]
                     left[level, rows] += share[lit] * open_
                     squares[level, rows] += share[lit] ** 2
