@@ -22,7 +22,8 @@ from .tile_lists import list_tiles
 SMALL, COARSE = 400, 4
 """Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
 WIDER = 12.0
-"""Factor to the blur of splats there: with 4 those smaller than a pixel hide too much, with 1 they fall between the pixels."""
+"""Factor to the blur of splats there: with 8 some fall between the pixels, of which a picture shows 0.09 pixels (0.016 with 12); with more
+of it those smaller than a pixel hide too much."""
 BESIDE = 4
 """Pixels to each side of the picture in which Gaussians are seen, too: they are neighbours of those in it."""
 TILES = 64
