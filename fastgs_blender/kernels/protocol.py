@@ -315,9 +315,9 @@ class TrainingBackend(PictureBackend, Protocol):
 
     def vote(self, xyz: np.ndarray, rgb: np.ndarray, camera: Camera, image: np.ndarray, depth: np.ndarray, cost: np.ndarray, near: float,
              alike: float, sure: float, agree: np.ndarray, against: np.ndarray) -> None:
-        """Count [P] whether a picture [h, w, 3] with depths and costs [h, w] agrees with points and colours [P, 3], or is against.  Where
-        depth / z - 1 is within `near`, it agrees if the mean difference of colour is below `alike`, else it is against; above twice
-        `near`, at a cost below `sure`, it sees through the point and is against."""
+        """Add 1 to agree [P] where an image [h, w, 3] of depth [h, w] and cost [h, w] agrees with points xyz [P, 3] of colours rgb [P, 3],
+        to against [P] where it is against: where depth / z - 1 is within `near`, by whether the mean difference of colour is below `alike`;
+        above twice `near`, at a cost below `sure`, it sees through the point and is against."""
 
     def resample(self, image: np.ndarray, positions: np.ndarray) -> np.ndarray:
         """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y in its pixels, centres at +0.5):
