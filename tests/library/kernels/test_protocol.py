@@ -59,7 +59,7 @@ def test_a_picture_through_the_protocol(rng, fake):
         assert all(np.array_equal(got[name], wanted[name]) for name in PASSES)
     seen = [Instance(*each).viewed(camera) for each in scene]
     np.testing.assert_array_equal(visibility.order(seen, camera, backend="fake"), visibility.order(seen, camera, backend="cpu"))
-    assert set(fake.calls) == {"draw", "colour", "numpy", "front_to_back", "surface", "past_splats", "posed", "thinnest"}
+    assert set(fake.calls) == {"draw", "colour", "numpy", "front_to_back", "surface", "past_splats", "posed", "thinnest", "view_box"}
 
 
 @pytest.mark.parametrize(("density", "mask", "options"), [
