@@ -16,6 +16,7 @@ so that contrast leaves middle grey, and hue and saturation leave luminance and 
 linear ones and back.  Colours of Gaussians are changed before they are blended; those of a decoder are changed where it made them.
 """
 from enum import IntEnum
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -70,22 +71,22 @@ def look_numbers(settings: Any, colour_space: str) -> np.ndarray:
     row[Look.SCALE], row[Look.SMALLEST], row[Look.LARGEST] = settings.splat_scale, min(settings.min_size, largest), largest
     row[Look.SIZED] = (row[Look.SCALE], row[Look.SMALLEST], row[Look.LARGEST]) != (1, 0, BOUND)
     row[Look.LINEAR] = colour_space == "linear"
-    matrix, power, factor = _matrix(settings), settings.contrast / settings.gamma, GREY ** ((1 - settings.contrast) / settings.gamma)
+    matrix, power = _matrix(settings.exposure, settings.saturation, settings.hue, tuple(settings.tint)), settings.contrast / settings.gamma
+    factor = GREY ** ((1 - settings.contrast) / settings.gamma)
     row[Look.FACTOR], row[Look.POWER], row[Look.MATRIX:Look.MATRIX + 9] = factor, power, matrix.ravel()
     row[Look.MARK] = settings.mark
     row[Look.GRADED] = (factor, power) != (1, 1) or np.abs(matrix - np.eye(3)).max() > 1e-12
     return row
 
 
-def _matrix(settings: Any) -> np.ndarray:
+@lru_cache(maxsize=64)
+def _matrix(exposure: float, saturation: float, hue: float, tint: tuple[float, float, float]) -> np.ndarray:
     grey = np.outer(np.ones(3), LUMINANCE)
     chroma = np.eye(3) - grey
-    c, s = np.cos(settings.hue), np.sin(settings.hue) / np.sqrt(3)
+    c, s = np.cos(hue), np.sin(hue) / np.sqrt(3)
     third = (1 - c) / 3
     turn = np.array([[c + third, third - s, third + s], [third + s, c + third, third - s], [third - s, third + s, c + third]])
-    hue = grey + chroma @ turn @ chroma
-    saturation = grey + settings.saturation * chroma
-    return 2.0**settings.exposure * np.diag(settings.tint) @ saturation @ hue
+    return 2.0**exposure * np.diag(tint) @ (grey + saturation * chroma) @ (grey + chroma @ turn @ chroma)
 
 
 def graded(colour: np.ndarray, row: np.ndarray) -> np.ndarray:

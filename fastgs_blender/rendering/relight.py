@@ -123,22 +123,22 @@ class SceneLight:
         """The irradiance of the spots, by the lamps' levels [L, 4, 3, P], by channel: with nothing in the way, with meshes, with meshes and
         splats, with splats."""
         total = np.zeros((max(self.levels, default=-1) + 1, 4, 3, len(spots)), np.float32)
-        scene = Ways(backend, casting, self.meshes, sum(len(lamp.light.points) for lamp in self.lamps) == 1, self.moments)
+        once = [lamp.light.parallel for lamp in self.lamps for _ in lamp.light.points] == [True]
+        scene = Ways(backend, casting, self.meshes, once, self.moments)
         for number, lamp in enumerate(self.lamps):
             ways, colour = scene.of_lamp(lamp.name, self.clear.get(lamp.name)), lamp.colour / len(lamp.colour)
-            shares, rows = _shares(lamp, spots)
-            lit = spots.part(rows)
-            sides = [(side, lit.part(side.rows)) for side in ways.sides(lamp.light, lit.position)]
+            shares, lit = _shares(lamp, spots)
+            sides = ways.sides(lamp.light, np.take(spots.position, lit, 1), spots.wide)
+            parts = [spots.part(lit[side.rows]) for side in sides]
+            rows = np.concatenate([lit[side.rows] for side in sides] or [lit])  # of each side side by side
+            ends = np.cumsum([0, *map(len, parts)])
             alike, full = np.zeros((4, len(rows))), np.zeros((4, 1, len(spots)), np.float32)
-            for k, share in enumerate(shares):
-                alike[0] += share
-                for side, part in sides:
-                    at = slice(None) if len(sides) == 1 else side.rows
+            for k, share in enumerate(np.take(shares, rows, 1)):
+                for side, part, begin, end in zip(sides, parts, ends, ends[1:]):
                     meshes, splats = self._through(ways, lamp, k, side, part, backend)
-                    left = share[at] * meshes
-                    alike[1, at] += left
-                    alike[2, at] += left * splats
-                    alike[3, at] += share[at] * splats
+                    arrived = share[begin:end]
+                    for sums, let in zip(alike[:, begin:end], (1, meshes, meshes * splats, splats), strict=True):
+                        sums += arrived * let
                 if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
                     for (row,), sums in zip(full, alike, strict=True):
                         row[rows] = sums
@@ -158,14 +158,13 @@ class SceneLight:
 
 
 def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:
-    """Which share of its colour each of a lamp's points sends to those spots that it lights: [L, R], and which these are [R]."""
+    """Which share of its colour each of a lamp's points sends to spots: [L, P], and which of these it lights [R]."""
     shares, any_ = np.empty((len(lamp.light.points), len(spots))), np.zeros(len(spots), bool)
     among = spots.lit_by(lamp.name)
     for number, row in enumerate(shares):
         np.multiply(lamp.share(number, spots.position, spots.normal), among, out=row)
         any_ |= row > 0
-    rows = np.flatnonzero(any_)
-    return shares if len(rows) == len(spots) else np.take(shares, rows, 1), rows
+    return shares, np.flatnonzero(any_)
 
 
 def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, backend: Any) -> Instance:

@@ -283,7 +283,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     free, left, squares = np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        for side in ways.sides(lamp.light, middle):
+        for side in ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max())):
             at, facing = middle[:, side.rows], normal[:, side.rows]
             for k in np.flatnonzero(bright):
                 each = min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))

@@ -6,7 +6,7 @@ own: they are as sharp as what throws them, and they do not flicker while things
 """
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any
@@ -17,7 +17,6 @@ from ..cameras.camera import Camera
 from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
-from .holdout import between
 from .instances import Instance
 
 WIDEST = 8.0
@@ -26,15 +25,18 @@ NARROW = 0.4
 """Cosine of the angle around its middle up to which one picture is taken from a lamp; six are where it shines farther around."""
 REACH = 3.5
 """Standard deviations up to which a Gaussian may throw a shadow."""
+SEEN = 1.5
+"""How many times as large a splat may be in a picture: its projection is linearised."""
 
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What one picture from each point of a lamp shows: which of the points that may be lit, and the instances, or parts of them, that may
-    throw shadows on these."""
+    """What one picture from each point of a lamp shows: which of the points that may be lit, and what may throw shadows on these:
+    instances, or parts of them, and triangles [F, 3, 3] at each moment (Ways)."""
 
     rows: np.ndarray
     instances: list[Instance]
+    moments: Sequence[np.ndarray]
 
 
 class Ways:
@@ -49,7 +51,7 @@ class Ways:
 
     def __init__(self, backend: Any, instances: Sequence[Instance], meshes: np.ndarray | None, once: bool = False,
                  moments: Sequence[np.ndarray] = ()):
-        self.backend, self.meshes, self.moments = backend, meshes, moments
+        self.backend, self.moments = backend, moments or [each for each in (meshes,) if each is not None and len(each)]
         self.instances = [_plain(each) if once else _bare(each, backend) for each in instances if len(each.model)]
 
     def of_lamp(self, name: str, clear: np.ndarray | None = None) -> Ways:
@@ -57,27 +59,27 @@ class Ways:
         opaque = [each for each in self.instances if name not in each.settings.clear_to]
         if clear is None and len(opaque) == len(self.instances):
             return self
-        made = Ways(self.backend, [], self.meshes, moments=self.moments)
+        made = Ways(self.backend, [], None, moments=self.moments if clear is None else [each[~clear] for each in self.moments])
         made.instances = opaque
-        if clear is not None and self.meshes is not None:
-            made.meshes, made.moments = self.meshes[~clear], [each[~clear] for each in self.moments]
         return made
 
-    def sides(self, light: Any, points: np.ndarray) -> list[Side]:
-        """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube."""
-        every = np.arange(points.shape[1])
-        if light.parallel or not len(every):
-            return [Side(every, self.instances)] if len(every) else []
+    def sides(self, light: Any, points: np.ndarray, wide: Callable[[], float] = lambda: 0.0) -> list[Side]:
+        """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube.
+
+        wide  says how far from its point each of the places lies, at most, that are asked for in the end
+        """
+        if not points.shape[1]:
+            return []
         centre = light.points.mean(0)
         radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
-        middle = _bounds(towards).mean(0)
-        x, y, z = towards
-        if (middle @ towards >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all():
-            return [Side(every, self.instances)]
+        middle = -centre if light.parallel else _bounds(towards).mean(0)
+        (x, y, z), depth = towards, middle @ towards
+        if light.parallel or (depth >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all():
+            return [Side(np.arange(len(x)), self.instances, self.moments)]
         axis = np.abs(towards).argmax(0)
-        side = 2 * axis + (towards[axis, every] > 0)
-        return [Side(np.flatnonzero(side == number), self._through(centre, radius, number // 2, 2 * (number % 2) - 1))
-                for number in np.unique(side).tolist()]
+        side = 2 * axis + (np.take_along_axis(towards, axis[None], 0)[0] > 0)
+        through = [(number, np.flatnonzero(side == number)) for number in np.unique(side).tolist()]
+        return [self._through(number, rows, np.take(points, rows, 1), centre, max(radius, wide())) for number, rows in through]
 
     def past(self, light: Any, number: int, side: Side, places: np.ndarray, size: int, over_meshes: float = 0.0,
              over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -95,8 +97,8 @@ class Ways:
         eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend)
         if eye is None:
             return meshes, splats
-        triangles = self._triangles(0.0 if light.times is None else light.times[number])
-        if triangles is not None and len(triangles):
+        if side.moments and len(side.moments[0]):
+            triangles = _between(side.moments, 0.0 if light.times is None else light.times[number])
             found = self.backend.past_triangles(triangles, eye, points, np.full(several * count, float(over_meshes)))
             meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
@@ -105,41 +107,52 @@ class Ways:
             splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[:, 0], over))
         return meshes, splats
 
-    def _triangles(self, time: float) -> np.ndarray | None:
-        """The triangles [F, 3, 3] at a time of the exposure, from 0 to 1."""
-        if not self.moments:
-            return self.meshes
-        at = time * (len(self.moments) - 1)
-        first = min(int(at), len(self.moments) - 2)
-        return between(self.moments[first], self.moments[first + 1], at - first)
-
     @cached_property
     def _around(self) -> np.ndarray:
         """Points [Q, 3] around all that may throw shadows."""
-        meshes = [each for each in self.moments or (self.meshes,) if each is not None and len(each)]
-        boxes = [_bounds(each.reshape(-1, 3).T)[_CHOICES, np.arange(3)] for each in meshes]
+        boxes = [_bounds(each.reshape(-1, 3).T)[_CHOICES, np.arange(3)] for each in self.moments if len(each)]
         return np.concatenate([_corners(self.instances), *boxes])
 
     @cached_property
     def _balls(self) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each instance, its Gaussians' centres [N, 3] in the world and their reach [N]."""
+        """Of each instance, its Gaussians' centres [3, N] in the world and how far from these they may be seen [N]."""
         found = []
         for each in self.instances:
-            centre = each.model.position @ each.placement[:3, :3].T + each.placement[:3, 3]
-            size = REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
-            found.append((centre, np.maximum(size * np.exp(each.model.scale.max(1).astype(np.float64)), each.settings.min_size)))
+            size = SEEN * REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
+            reach = np.maximum(np.float32(size) * np.exp(each.model.scale.max(1)), np.float32(SEEN * each.settings.min_size))
+            found.append(((each.placement[:3, :3] @ each.model.position.T + each.placement[:3, 3:]).astype(np.float32), reach))
         return found
 
-    def _through(self, centre: np.ndarray, radius: float, axis: int, sign: int) -> list[Instance]:
-        """The instances with those Gaussians alone that may be seen through a side of the cube around a lamp."""
-        found = []
-        for each, (position, reach) in zip(self.instances, self._balls, strict=True):
-            towards = position - centre
-            one, other = (np.abs(towards[:, k]) for k in range(3) if k != axis)
-            index = np.flatnonzero(np.maximum(one, other) - 1.5 * reach - 2 * radius <= sign * towards[:, axis])
-            if len(index):
-                found.append(each.part(index))
-        return found
+    def _through(self, number: int, rows: np.ndarray, points: np.ndarray, centre: np.ndarray, wide: float) -> Side:
+        """What a side of the cube around a lamp shows, of those points [3, R] that it shows; rows: which of all they are.
+
+        number  two for each axis, the negative side first
+        centre  of the lamp [3]; light may begin as far from it, and end as far from a point, as wide says
+        """
+        axis, sign = number // 2, 2 * (number % 2) - 1
+        depth = sign * (points[axis] - centre[axis])
+        tangents = [(k, (points[k] - centre[k]) / depth) for k in range(3) if k != axis]
+        edges = [(k, way, (way * tangent).max()) for k, tangent in tangents for way in (1, -1)]
+
+        def may_shade(position: np.ndarray, reach: np.ndarray) -> np.ndarray:
+            """Which balls around positions [3, N] light may touch on its way: [M]."""
+            ahead, reach = sign * (position[axis] - centre[axis]), reach + wide
+            found = (ahead >= -reach) & (ahead <= depth.max() + reach)
+            for k, way, most in edges:
+                found &= way * (position[k] - centre[k]) <= most * ahead + np.sqrt(1 + most * most) * reach
+            return np.flatnonzero(found)
+
+        inside = [(each, may_shade(*balls)) for each, balls in zip(self.instances, self._balls, strict=True)]
+        triangles = may_shade(*self._circles) if self.moments else np.zeros(0, int)
+        return Side(rows, [each.part(index) for each, index in inside if len(index)],
+                    [each[triangles] for each in self.moments])
+
+    @cached_property
+    def _circles(self) -> tuple[np.ndarray, np.ndarray]:
+        """Of each triangle the centre [3, F] and the radius [F] of a ball that holds it at all moments."""
+        corners = np.concatenate([each.T for each in self.moments], 1)
+        low, high = corners.min(1), corners.max(1)
+        return (low + high) / 2, np.sqrt(((high - low) ** 2).sum(0)) / 2
 
 
 def without_colours(model: GaussianModel) -> GaussianModel:
@@ -167,6 +180,15 @@ def _bare(instance: Instance, backend: Any) -> Instance:
 def _bounds(points: np.ndarray) -> np.ndarray:
     """The least and the largest coordinates [2, 3] of points [3, P]."""
     return np.array([[row.min(), row.max()] for row in points]).T
+
+
+def _between(moments: Sequence[np.ndarray], time: float) -> np.ndarray:
+    """The triangles [F, 3, 3] at a time of the exposure, from 0 to 1."""
+    if len(moments) == 1:
+        return moments[0]
+    at = time * (len(moments) - 1)
+    first = min(int(at), len(moments) - 2)
+    return moments[first] + np.float32(at - first) * (moments[first + 1] - moments[first])
 
 
 def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int,

@@ -61,6 +61,8 @@ def run(work: Callable[..., Any], pieces: Iterable[tuple], progress: Callable[[f
     progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.
     """
     pieces = list(pieces)
+    if len(pieces) == 1 and not progress:  # small pictures are many
+        return [work(*pieces[0])]
     results: list[Any] = [None] * len(pieces)
     numbers, failed = iter(range(len(pieces))), list[int]()
 

@@ -33,9 +33,9 @@ PARTS = (TILE // PART) ** 2
 CHUNK = 16_384
 """Points in one piece of work."""
 BATCH = 8
-"""Points of a tile that go past its splats together, of neighbouring depths."""
+"""Points of a part that go past its splats together."""
 LAYERS = 2047
-"""Of depth, by which points and splats are sorted: what is sorted has as many bits as one pass takes."""
+"""Of depth, by which splats are sorted: as many bits as one pass takes."""
 BESIDE = 0.01
 """Pixels by which a triangle's box is wider than the triangle: more than EDGE, and than float32 rounds a place in a picture by."""
 DARK = 1e-3
@@ -63,7 +63,7 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
     splats = project_instances(instances, camera, layout)
     order, layer = _by_depth(splats.depth[splats.index], splats.index)
     listing = TileLists.of(order, splats.geometry, splats.attributes, camera, TILE)
-    seen, begins, asked = _by_tile(listing.grid, TILE, camera, points, over)
+    seen, begins, asked = _by_tile(listing.grid, TILE // PART, PART, camera, points, over)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         plane = raster.CHANNEL + layout.places["plane"].start
@@ -76,9 +76,10 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
 def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> np.ndarray:
     """PictureBackend.past_triangles()."""
     asserts.past_splats(points, over)
-    occluder = Occluder.of(triangles, camera)
-    seen, begins, asked = _by_tile(occluder.listing.grid, raster.TILE, camera, points, over, False)
-    out = np.ones(points.shape[1], np.float32)
+    occluder, out = Occluder.of(triangles, camera), np.ones(points.shape[1], np.float32)
+    if not len(occluder.screen):
+        return out
+    seen, begins, asked = _by_tile(occluder.listing.grid, 1, raster.TILE, camera, points, over)
     rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
     run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
     return out
@@ -98,24 +99,20 @@ def _by_depth(depth: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float]:
     return order_by(((depth - low) / layer).astype(np.uint32).view(np.float32), index), layer
 
 
-def _by_tile(grid, size: int, camera, points: np.ndarray, over: np.ndarray, by_depth: bool = True):
+def _by_tile(grid, split: int, side: int, camera, points: np.ndarray, over: np.ndarray):
     """Points by part of tiles: x and y in pixels and the depth that counts of each [3, P], where each part's points begin in a list of
-    their indices, [parts + 1], and the list, by about their depth, where that is asked for.
+    their indices, [parts + 1], and the list.
 
-    size: pixels of a tile's side; its parts, one after another, have PART if by_depth.  Points beside the window are in the nearest part,
-    those behind the camera in none.
+    A tile has split x split parts of so many pixels' side, one after another.  Points beside the window are in the nearest part, those
+    behind the camera in none.
     """
-    split = size // PART if by_depth else 1
-    count, parts = points.shape[1], split**2
+    count = points.shape[1]
     seen, part = np.empty((3, count)), np.empty(count, np.int32)
     rest = (np.ascontiguousarray(points), over, np.ascontiguousarray(camera.world_to_camera[:3]),
             tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
-            split, split.bit_length() - 1, size // split, seen, part)
+            split, split.bit_length() - 1, side, seen, part)
     run(lambda a, b: place(a, b, *rest), ranges(count, CHUNK))
-    order = np.arange(count, dtype=np.int32)
-    if by_depth:
-        order, _ = _by_depth(seen[2], order)
-    return seen, *list_points(order, part, grid[2] * grid[3] * parts)
+    return seen, *list_points(part, grid[2] * grid[3] * split * split)
 
 
 @kernel
@@ -170,15 +167,15 @@ def _unit(points, p, view, orthographic):
 
 
 @kernel
-def list_points(order, part, parts):
-    """A counting sort: where each part's points begin in a list, and the list of the points' indices, in an order."""
+def list_points(part, parts):
+    """A counting sort: where each part's points begin in a list, and the list of the points' indices, in their order."""
     begins = np.zeros(parts + 2, np.int64)
     for p in range(len(part)):
         begins[part[p] + 1] += 1
     for k in range(parts + 1):
         begins[k + 1] += begins[k]
     asked, cursor = np.empty(len(part), np.int32), begins[:-1].copy()
-    for p in order:
+    for p in range(len(part)):
         asked[cursor[part[p]]] = p
         cursor[part[p]] += 1
     return begins[:-1].copy(), asked

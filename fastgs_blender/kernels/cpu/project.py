@@ -201,6 +201,8 @@ def _blurs(px, py, pz, depth, largest, blur, sampling):
             break
         x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
         along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
+        if not anywhere(abs(along) * cameras[i, 3] < found):
+            continue
         r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
         outside = max((r - reach * largest) * cameras[i, 7] - along, 0.0)
         found = min(found, (abs(along) + STEEP * outside) * cameras[i, 3])

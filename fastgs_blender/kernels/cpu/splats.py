@@ -118,18 +118,17 @@ def _spread_colours(model, t: float, out: dict[str, np.ndarray], detach_time: bo
 def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
     """arrays, times, view, lens, constants and channel plan of an instance, see project.project."""
     model, group = instance.model, layout.group_of(instance)
-    to_camera, to_model = instance.model_to_camera, instance.camera_to_model
-    x0, y0, width, height = camera.window
-    view = np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], to_model[None, :3, 2 if camera.orthographic else 3]])
+    to_camera, (x0, y0, width, height) = instance.model_to_camera, camera.window
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, instance.far, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r, look, own = model.raster, momentary(model.appearance), model.arrays
+    eye = instance.camera_to_model[:3, 2 if camera.orthographic else 3] if isinstance(look, SH) else np.zeros(3)
     if isinstance(model.appearance, Changing):
         own = own | {"features": features_at(model.appearance, model.features, instance.t, model.mu_tau).astype(np.float32)}
     return (
         tuple(plain(a) for a in own.values()),
         (instance.t, model.temporal_kind.code, weights_at(model.basis, instance.t), weights_at(model.rotation_basis, instance.t)),
-        np.ascontiguousarray(view), tuple(float(v) for v in lens),
+        np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], eye[None]]), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic),
          (instance.sampling.row, instance.sampling.cameras), bool(instance.settings.bends)),
         (CODES[type(look)], getattr(look, "degree", 0), group.offset,

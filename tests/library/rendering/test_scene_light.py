@@ -116,6 +116,16 @@ def test_splats_throw_shadows_on_splats_and_not_on_themselves():
     assert np.allclose(both[32, 32], free[32, 32], rtol=0.02)  # the leaf itself
 
 
+def test_what_came_from_elsewhere_throws_its_shadow_around_a_lamp_of_one_point():
+    """A lamp so near to the wall that it looks through the sides of a cube, past a leaf that rests far behind it."""
+    lamp, leaf = Lamp(Light([(0, 0, 3.2)]), (3.0, 3.0, 3.0)), wall(3.6, 0.4)
+    away = replace(leaf, position=leaf.position - np.float32([0, 9, 0]), basis=fg.Polynomial(1),
+                   motion=np.tile(np.float32([0, 9, 0]), (len(leaf), 1, 1)))
+    here, moved = (lit([Instance(wall(), np.eye(4), 1.0, LIT), Instance(each, np.eye(4), 1.0, LIT)], [lamp]) for each in (leaf, away))
+    assert here[32, 32 + 10, 0] < 0.05 * lit(wall(), [lamp])[32, 32 + 10, 0]
+    assert np.abs(moved - here).max() < 1e-3
+
+
 def test_captured_light_stays_and_shadows_take_from_it():
     """Without lamps' light a mesh's shadow still darkens the captured colour, by as much as is asked for."""
     lamp, look = Lamp(Light([(0, 0, 2.0)]), (3.0, 3.0, 3.0)), ObjectSettings(shadows=0.5)

@@ -75,6 +75,30 @@ def test_triangles_stop_light_where_the_ray_meets_them(x, y, z, parallel):
         assert past([], [point, [0, 0, 9.0]], SUN if parallel else LAMP, corners[None], backend)[0][0] == expected
 
 
+@pytest.mark.parametrize("radius", [0.0, 0.4])
+def test_a_side_of_the_cube_has_all_that_throws_shadows_there(radius):
+    """Around a lamp among large and small Gaussians and triangles, which move: what a side leaves out shades none of its points."""
+    rng = np.random.default_rng(7)
+    n, backend = 2000, load_backend("cpu")
+    model = fg.GaussianModel(position=rng.uniform(-3, 3, (n, 3)), rotation=rng.normal(size=(n, 4)), opacity=rng.normal(0, 2, n),
+                             scale=rng.uniform(-5, -2, (n, 3)), features=np.zeros((n, 3)))
+    corners = (rng.uniform(-3, 3, (60, 1, 3)) + rng.uniform(-0.3, 0.3, (60, 3, 3))).astype(np.float32)
+    moments = [corners, corners + np.float32([0.5, 0, -0.2])]
+    ways = Ways(backend, [Instance(model, np.eye(4), 0.0)], None, moments=moments)
+    light = Light(radius * rng.uniform(-1, 1, (4, 3)) / 2 + 0.1, times=np.array([0, 0.3, 0.7, 1]))
+    points, beside = rng.uniform(-2.5, 2.5, (3, 400)), 0.05 * rng.normal(size=(3, 2, 400))
+    sides = ways.sides(light, points, lambda: float(np.linalg.norm(beside, axis=0).max()))
+    assert sorted(np.concatenate([side.rows for side in sides])) == list(range(400)) and len(sides) == 6
+    assert all(len(side.instances[0].model) < 0.6 * n and len(side.moments[0]) < 40 for side in sides)
+    for side in sides:
+        places = (points[:, None] + beside)[..., side.rows]
+        for k in range(4):
+            mine, whole = (ways.past(light, k, each, places, 256)
+                           for each in (side, replace(side, instances=ways.instances, moments=ways.moments)))
+            assert np.array_equal(mine[0], whole[0])
+            assert np.abs(mine[1] - whole[1]).max() < 1e-3
+
+
 def test_kernels_agree_with_the_oracle():
     """Many splats from a lamp among them, which looks through all sides of a cube, and from a sun."""
     rng = np.random.default_rng(3)
