@@ -10,12 +10,15 @@ import numpy as np
 
 from ...rendering.layout import Buffers, Layout
 from . import carrying, carving, initial, light, nearest, passing, posing, resample, spots, steps, thinnest, training, visible
-from .decoder import decode_features
+from .decoder import Decoder, decode_features
 from .expose import expose
 from .holdout import surface
 from .jit import announce
 from .rasterise import rasterise
 from .splats import project_instances
+
+FEATURES = 9
+"""Channels of a picture of one decoder's features alone: these are decoded by rows of tiles, and never kept."""
 
 
 class CPU:
@@ -47,8 +50,10 @@ class CPU:
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         order, channels, rows = splats.order(), splats.channels, (splats.geometry, splats.attributes)
         del splats  # the rest of which is memory
+        group = layout.groups[0]
+        decode = Decoder(group.instance, camera, group.decode) if layout.channels == FEATURES and group.instance else None
         picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), holdout=holdout,
-                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core)
+                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decode)
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):
@@ -59,7 +64,7 @@ class CPU:
         return reduce(np.add, (self._group_colour(buffers, group, camera) for group in layout.groups))
 
     def _group_colour(self, buffers, group, camera):
-        if group.instance is None:
+        if group.instance is None or buffers.channels.shape[2] == 3:
             return buffers.channels[..., group.offset:group.offset + 3]
         weight = buffers.alpha if group.weight is None else buffers.channels[..., group.weight]
         return decode_features(buffers.channels[..., group.offset:group.offset + 9], weight, group.instance, camera, group.decode)

@@ -26,7 +26,7 @@ def begin(to_model):
 
 
 @inline
-def decode_block(row, start, n, features, weight, w1, w2, to_model, lens, x0, y0, orthographic, inputs, hidden, base):
+def decode_block(row, start, n, features, weight, w1, w2, to_model, lens, orthographic, x0, y0, inputs, hidden, base):
     """n pixels from `start` of a row: fill inputs and hidden, and base with the colour before the activation.
 
     Returns whether anything covers them; where nothing does, nothing is filled.
@@ -77,7 +77,7 @@ def activate(value, activation):
 
 
 @kernel
-def decode(first, last, features, weight, w1, w2, activation, to_model, lens, x0, y0, orthographic, out):
+def decode(first, last, features, weight, w1, w2, activation, to_model, lens, orthographic, x0, y0, out):
     """Rows first..last of out [h, w, 3], premultiplied, from blended features [h, w, C >= 9] with their weight [h, w].
 
     Colours that are beyond LIMIT, or not a number, become 0.
@@ -89,7 +89,7 @@ def decode(first, last, features, weight, w1, w2, activation, to_model, lens, x0
     for row in range(first, last):
         for start in range(0, width, BLOCK):
             n = min(BLOCK, width - start)
-            if decode_block(row, start, n, features, weight, w1, w2, to_model, lens, x0, y0, orthographic, inputs, hidden, base):
+            if decode_block(row, start, n, features, weight, w1, w2, to_model, lens, orthographic, x0, y0, inputs, hidden, base):
                 for p in range(n):
                     share = weight[row, start + p]
                     for c in range(3):

@@ -10,7 +10,7 @@ from .jit import kernel
 
 
 @kernel
-def decode_backward(first, last, features, weight, w1, w2, activation, to_model, lens, x0, y0, orthographic,
+def decode_backward(first, last, features, weight, w1, w2, activation, to_model, lens, orthographic, x0, y0,
                     grad, grad_features, grad_weight, grad_w1, grad_w2):
     """From grad [h, w, 3], that of the premultiplied colour, to that of rows first..last of features and weight, both overwritten.
 
@@ -24,7 +24,7 @@ def decode_backward(first, last, features, weight, w1, w2, activation, to_model,
     for row in range(first, last):
         for start in range(0, width, BLOCK):
             n = min(BLOCK, width - start)
-            if not decode_block(row, start, n, features, weight, w1, w2, to_model, lens, x0, y0, orthographic, inputs, hidden, base):
+            if not decode_block(row, start, n, features, weight, w1, w2, to_model, lens, orthographic, x0, y0, inputs, hidden, base):
                 grad_features[row, start:start + n, :] = float32(0.0)
                 grad_weight[row, start:start + n] = float32(0.0)
                 continue

@@ -7,41 +7,53 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...model.appearance import ACTIVATIONS, Features, lifted
 from ...rendering.instances import LIMIT, ViewedInstance
-from ...rendering.looks import graded_picture
+from ...rendering.looks import Look, graded_picture
 from ...util.threads import ranges, run
 from .decode import decode
 from .decode_backward import decode_backward as decode_rows_backward
 from .splats import plain
 
 
-def decode_features(features, weight, instance: ViewedInstance, camera: Camera, way: str) -> np.ndarray:
-    """Premultiplied colour [h, w, 3] of blended features [h, w, C >= 9]; see rendering.oracle.decode_features.
+class Decoder:
+    """Premultiplied colour [h, w, 3] of blended features [h, w, C >= 9] with their weight, in whole rows of a camera's window; see
+    rendering.oracle.decode_features.
 
     Where the decoder is given the sum, it is given the mean of a weight of 1.
     """
-    if way == "normalised":
-        return graded_picture(_decoded(features, weight, instance, camera), weight, instance.look)
-    full = np.ones(weight.shape, np.float32)
-    colour, appearance = _decoded(features, full, instance, camera), instance.model.appearance
-    if way == "premultiplied":
-        return graded_picture(colour, full, instance.look)
-    assert isinstance(appearance, Features)
-    colour = lifted(colour, _decoded(np.zeros(features.shape, np.float32), full, instance, camera), weight, appearance)
-    return graded_picture(np.where(np.abs(colour) <= LIMIT, colour, 0), weight, instance.look)
+
+    def __init__(self, instance: ViewedInstance, camera: Camera, way: str):
+        self.instance, self.way, self.inputs = instance, way, _decoder_inputs(instance, camera)
+
+    def __call__(self, features, weight, top: int, out: np.ndarray) -> None:
+        """Write the colour of the rows from y = top on."""
+        full = weight if self.way == "normalised" else np.ones(weight.shape, np.float32)
+        self._decode(features, full, top, out)
+        if self.way == "lifted":
+            appearance, empty = self.instance.model.appearance, np.empty_like(out)
+            assert isinstance(appearance, Features)
+            self._decode(np.zeros(features.shape, np.float32), full, top, empty)
+            colour = lifted(out, empty, weight, appearance)
+            out[:], full = np.where(np.abs(colour) <= LIMIT, colour, 0), weight
+        if self.instance.look[Look.GRADED]:
+            out[:] = graded_picture(out, full, self.instance.look)
+
+    def _decode(self, features, weight, top: int, out: np.ndarray) -> None:
+        """Write the decoder's colour, times the weight [h, w], of the features divided by it."""
+        rest = (np.ascontiguousarray(features), np.ascontiguousarray(weight), *self.inputs, top, out)
+        run(lambda first, last: decode(first, last, *rest), ranges(len(out), 64))
 
 
-def _decoded(features, weight, instance: ViewedInstance, camera: Camera) -> np.ndarray:
-    """The decoder's colour, times the weight [h, w], of the features divided by it."""
-    _, _, width, height = camera.window
-    out, inputs = np.empty((height, width, 3), np.float32), _decoder_inputs(features, weight, instance, camera)
-    run(lambda first, last: decode(first, last, *inputs, out), ranges(height, 64))
+def decode_features(features, weight, instance: ViewedInstance, camera: Camera, way: str) -> np.ndarray:
+    """What a Decoder makes of a whole picture."""
+    out = np.empty((*weight.shape, 3), np.float32)
+    Decoder(instance, camera, way)(features, weight, camera.window[1], out)
     return out
 
 
 def decode_backward(features, weight, instance: ViewedInstance, camera: Camera, grad, way: str):
     """From d loss / d colour [h, w, 3] to that of features [h, w, C], weight [h, w] (None: zeros), w1 [6, 12] and w2 [3, 6].
 
-    way: "normalised" or "premultiplied", see decode_features.  Every piece of rows has its own sums for the matrices, added in order: the
+    way: "normalised" or "premultiplied", see Decoder.  Every piece of rows has its own sums for the matrices, added in order: the
     same bytes for any number of threads.
     """
     summed = way == "premultiplied"
@@ -49,16 +61,16 @@ def decode_backward(features, weight, instance: ViewedInstance, camera: Camera, 
     pieces = ranges(camera.window[3], 32)
     grad_features, grad_weight = np.empty(features.shape, np.float32), np.empty(weight.shape, np.float32)
     grad_w1, grad_w2 = np.empty((len(pieces), 6, 12)), np.empty((len(pieces), 3, 6))
-    rest = (*_decoder_inputs(features, weight, instance, camera), np.ascontiguousarray(grad, np.float32), grad_features, grad_weight)
+    rest = (np.ascontiguousarray(features), np.ascontiguousarray(weight), *_decoder_inputs(instance, camera), camera.window[1],
+            np.ascontiguousarray(grad, np.float32), grad_features, grad_weight)
     run(lambda i, piece: decode_rows_backward(*piece, *rest, grad_w1[i], grad_w2[i]), enumerate(pieces))
     return grad_features, None if summed else grad_weight, grad_w1.sum(0).astype(np.float32), grad_w2.sum(0).astype(np.float32)
 
 
-def _decoder_inputs(features, weight, instance, camera):
-    """What decode.decode and its backward pass take between the rows and the picture."""
+def _decoder_inputs(instance, camera):
+    """What decode.decode and its backward pass take between the pictures and the first row's place."""
     appearance: Features = instance.model.appearance
-    x0, y0, _, _ = camera.window
     to_model = np.ascontiguousarray(np.concatenate([instance.camera_to_model[:3, :3], instance.camera_to_model[None, :3, 3]]))
     lens = (float(camera.fx), float(camera.fy), float(camera.cx), float(camera.cy))
-    return (np.ascontiguousarray(features), np.ascontiguousarray(weight), plain(appearance.w1), plain(appearance.w2),
-            ACTIVATIONS.index(appearance.activation), to_model, lens, x0, y0, bool(camera.orthographic))
+    return (plain(appearance.w1), plain(appearance.w2), ACTIVATIONS.index(appearance.activation), to_model, lens, bool(camera.orthographic),
+            camera.window[0])

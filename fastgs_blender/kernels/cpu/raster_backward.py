@@ -165,14 +165,14 @@ def rasteriser_backward(channels: int, band: float = 0.0):
 
 
 @kernel
-def collect(splat, begin, end, first_tile, last_tile, cursor, starts, ends, rows, sums):
+def collect(runs, first_tile, last_tile, cursor, starts, ends, rows, sums):
     """Add each splat's rows to sums [M, columns()], in the order of the tiles.
 
-    The first six are those of tiles.scatter, and a splat's entries are found as they were written: by walking the same runs.
+    The first four are those of tiles.scatter, and a splat's entries are found as they were written: by walking the same runs.
     """
-    for k in range(len(splat)):
-        i = np.intp(splat[k])
-        for tile in range(max(begin[k], first_tile), min(end[k], last_tile)):
+    for k in range(len(runs)):
+        i = np.intp(runs[k, 0])
+        for tile in range(max(runs[k, 1], first_tile), min(runs[k, 2], last_tile)):
             entry = cursor[tile]
             cursor[tile] += 1
             if entry - starts[tile] < ends[tile]:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -11,6 +12,7 @@ from ...rendering.layout import PROBES, Buffers, Layout
 from ...util.threads import ranges, run
 from . import raster, raster_backward, raster_by_pixel
 from .holdout import Occluder
+from .memory import empty
 from .tile_lists import TileLists, list_tiles, tile_cursors
 
 NONE = np.zeros((0, 0), np.float32)
@@ -43,7 +45,7 @@ class Picture:
 
 def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes=(), progress=None, wanted=None,
               holdout: np.ndarray | None = None, plane: int | None = None, by_pixel: bool = False,
-              core: tuple[int, int] = (0, 0)) -> Picture:
+              core: tuple[int, int] = (0, 0), decode=None) -> Picture:
     """Blend splats (raster.py) in the given order into the camera's window.
 
     probes   which of layout.PROBES to compute
@@ -52,6 +54,8 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     plane    with a holdout or by_pixel, the first of the channels of the splats' planes (layout.Layout.plane)
     by_pixel each pixel sorts its splats by the depths of these planes
     core     from which channel to which they are summed over the core of each pixel (layout.py)
+    decode   what takes the channels and alpha of rows of pixels, the first one's place in y, and where to write their colour, which takes
+             the channels' place
     """
     _, _, width, height = camera.window
     probes = tuple(name for name in PROBES if name in probes)
@@ -64,31 +68,42 @@ def rasterise(order, geometry, attributes, channels: int, camera: Camera, probes
     else:
         kernel = raster.rasteriser(channels, probes, plane=plane if occluder else None, core=core)
     middle = camera.width / 2, camera.height / 2
-    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, wanted, occluder, held, middle, once=True)
+    out, alpha, _ = _blend(listing, geometry, attributes, channels, kernel, extra, progress, wanted, occluder, held, middle, True, decode)
     return Picture(out, alpha, {name: extra[:, i * width:(i + 1) * width] for i, name in enumerate(probes)},
                    *((held[:, :width], held[:, width:]) if occluder else ()))
 
 
 def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extra, progress=None, wanted=None,
-           occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0), once: bool = False):
+           occluder: Occluder | None = None, held=NONE, middle=(0.0, 0.0), once: bool = False, decode=None):
     """Run a kernel of raster.rasteriser over the window; returns its channels, its alpha and the tile lists of the last band.
 
-    once: the listing's segments are given up when their lists have been made.
+    once: the listing's segments are given up when their lists have been made.  decode: as in rasterise().
     """
     x0, y0, right, bottom = listing.window
-    fresh = np.empty if wanted is None else np.zeros  # pages of the latter come in one by one
-    out, alpha = fresh((bottom - y0, right - x0, channels), np.float32), fresh((bottom - y0, right - x0), np.float32)
-    total = listing.counts.shape[1]
-    wanted = np.ones(total, np.bool_) if wanted is None else wanted
+    tile_x, tile_y, columns, rows = listing.grid
+    size = bottom - y0, right - x0
+    fresh = partial(empty, splats=len(geometry)) if wanted is None else np.zeros  # pages of the latter come in one by one
+    out, alpha = fresh((*size, 3 if decode else channels), np.float32), fresh(size, np.float32)
+    hiding = occluder.depths if occluder else lambda *_: raster.NOTHING
+    wanted = np.ones(columns * rows, np.bool_) if wanted is None else wanted
+
+    def blend(first, last, lists):
+        top, end = (min(max((tile_y + tile // columns) * raster.TILE, y0), bottom) for tile in (first, last))
+        part = slice(top - y0, end - y0)
+        drawn = empty((end - top, right - x0, channels), np.float32, len(geometry)) if decode else out[part]
+        kernel(first, last, columns, x0, top, right, end, tile_x, tile_y, *lists, geometry, attributes, drawn, alpha[part], extra[part],
+               hiding(first, last, wanted), held[part], *middle, wanted)
+        if decode:
+            decode(drawn, alpha[part], top, out[part])
+
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
-        if once and last == total:
+        if once and last == columns * rows:
             listing.segments.clear()
-        rest = (*listing.frame, *lists, geometry, attributes, out, alpha, extra)
-        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / total))
-        pieces = [piece for piece in _tiles(first, last) if wanted[slice(*piece)].any()]
-        hiding = occluder.depths if occluder else lambda *_: raster.NOTHING
-        run(lambda a, b, rest=rest, hiding=hiding: kernel(a, b, *rest, hiding(a, b, wanted), held, *middle, wanted), pieces, share)
+        share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / (columns * rows)))
+        pieces = ranges(last - first, columns * -(-TILES // columns))
+        run(lambda a, b, first=first, lists=lists: blend(first + a, first + b, lists),
+            [(a, b) for a, b in pieces if wanted[first + a:first + b].any()], share)
     return out, alpha, lists
 
 
@@ -158,7 +173,7 @@ def rasterise_backward(state: RasterState, grad_channels, grad_alpha, emphasis=N
         run(lambda a, b, rest=rest: kernel(a, b, *rest), _tiles(first, last))
         band_starts, cursors = tile_cursors(listing.counts, first, last)
         rest = (band_starts, ends, entries, sums)
-        run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(*segment, *span, cursor, *rest),
+        run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(segment, *span, cursor, *rest),
             zip(listing.segments, cursors))
     result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
                              np.zeros((rows, 2), np.float32))

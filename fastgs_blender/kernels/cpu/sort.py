@@ -2,20 +2,14 @@
 """A stable sort of positive floats by their bits, on several threads (radix sort)."""
 from __future__ import annotations
 
-import threading
-
 import numpy as np
 
 from ...util.threads import ranges, run, thread_count
 from .jit import kernel
+from .memory import empty
 
 DIGIT = 11
 """The most bits of a digit."""
-
-_scratch = threading.local()
-"""Each thread's memory from one sort to the next: fresh pages would take as long as a pass."""
-KEPT = 800_000
-"""Length up to which these are kept: longer ones are in large pages, which take little."""
 
 
 @kernel
@@ -37,15 +31,6 @@ def scatter(keys, order, low, shift, mask, begins, keys_out, order_out):
         order_out[at] = order[i]
 
 
-def _buffers(length: int) -> list[np.ndarray]:
-    kept = getattr(_scratch, "buffers", [np.empty(0)])
-    if length > len(kept[0]):
-        kept = [np.empty(length, kind) for kind in (np.uint32, np.uint32, np.int32, np.int32)]
-        if length < KEPT:
-            _scratch.buffers = kept
-    return [buffer[:length] for buffer in kept]
-
-
 def order_by(depth: np.ndarray, index: np.ndarray) -> np.ndarray:
     """index [V] int32, reordered so that depth [V] float32 >= 0 ascends; equal depths keep their order.
 
@@ -60,7 +45,7 @@ def order_by(depth: np.ndarray, index: np.ndarray) -> np.ndarray:
     digit = -(-bits // max(passes, 1))
     pieces = ranges(len(keys), max(-(-len(keys) // thread_count()), 16_384))
     mask = np.uint32((1 << digit) - 1)
-    buffers = _buffers(len(keys))
+    buffers = [empty(index.shape, kind, len(index)) for kind in (np.uint32, np.uint32, np.int32, np.int32)]
     for number in range(passes):
         shift = np.uint32(number * digit)
         counts = np.zeros((len(pieces), 1 << digit), np.int32)
@@ -73,4 +58,4 @@ def order_by(depth: np.ndarray, index: np.ndarray) -> np.ndarray:
                                            keys_out, index_out),  # noqa: B023
             [(p, *piece) for p, piece in enumerate(pieces)])
         keys, index = keys_out, index_out
-    return index.copy()
+    return index

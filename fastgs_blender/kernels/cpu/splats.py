@@ -15,6 +15,7 @@ from ...rendering.looks import Look
 from ...rendering.quantities import Shown
 from ...util.threads import ranges, run
 from . import project, raster
+from .memory import empty
 from .project_backward import project_backward as project_rows_backward
 from .rasterise import RasterGradients
 from .sort import order_by
@@ -55,8 +56,8 @@ class ProjectedSplats:
 def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> ProjectedSplats:
     """Slice, cull and project all instances."""
     total = sum(len(instance.model) for instance in instances)
-    attributes = np.empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32)
-    arrays = np.empty((total, 5)), attributes, np.empty(total, np.float32), np.empty(total, np.int32)
+    attributes = empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32, total)
+    arrays = empty((total, 5), np.float64, total), attributes, empty((total,), np.float32, total), empty((total,), np.int32, total)
     runs, done = [], 0
     for instance in instances:
         cut = crop_arrays(instance.settings.crops), instance.ball, instance.hidden

@@ -9,6 +9,7 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...util.threads import ranges, run, thread_count
 from . import raster, tiles
+from .memory import empty
 
 CHUNK = 16_384
 """Splats in one piece of work, at least."""
@@ -66,15 +67,24 @@ def list_spans(order, geometry, attributes, grid, tile, wanted=None):
     pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
     changes = np.zeros((max(len(pieces), 1), grid[2] * grid[3] + 1), np.int32)
     rest = (order, geometry, attributes, *grid, tile.bit_length() - 1, tiles.which_tiles(wanted, *grid[2:]))
-    segments = run(lambda s, first, last: tiles.spans(first, last, *rest, changes[s]), [(s, *piece) for s, piece in enumerate(pieces)])
+
+    def segment(s, first, last):
+        runs, n = empty((4 * (last - first) + grid[3], 3), np.int32, len(order)), 0
+        while True:
+            first, n = tiles.spans(first, last, *rest, changes[s], runs, n)
+            if first == last:
+                return runs[:n]
+            runs = np.concatenate([runs, np.empty((n + grid[3], 3), np.int32)])
+
+    segments = run(segment, [(s, *piece) for s, piece in enumerate(pieces)])
     return segments, changes.cumsum(1, np.int64)[:, :-1]
 
 
 def list_tiles(segments, counts, first: int, last: int):
     """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
     starts, cursors = tile_cursors(counts, first, last)
-    ids = np.empty(starts[-1], np.int32)
-    run(lambda s, segment: tiles.scatter(*segment, first, last, cursors[s], ids), enumerate(segments))
+    ids = empty((starts[-1],), np.int32, starts[-1] // 6)
+    run(lambda s, segment: tiles.scatter(segment, first, last, cursors[s].astype(np.uint32), ids), enumerate(segments))
     return starts, ids
 
 

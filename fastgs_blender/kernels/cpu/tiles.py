@@ -29,16 +29,6 @@ EXACT = 4
 """(Columns - 1) (rows - 1) from which on a box of tiles is cut down to the ellipse in it; smaller ones would only lose corners."""
 
 
-@inline
-def grown(array, more=0):
-    """The array twice as long, and longer by `more`.  Copied number by number: numba takes two seconds for the messages that a slice
-    could raise."""
-    larger = np.empty(2 * len(array) + more, array.dtype)
-    for k in range(len(array)):
-        larger[k] = array[k]
-    return larger
-
-
 def which_tiles(wanted, columns: int, rows: int):
     """For spans(), which tiles of a grid are wanted [tiles] bool, or None for all: how many of them lie above and left of a tile's corner
     [rows + 1, columns + 1], and for each tile the first one from it on and the last one up to it (three int32 arrays, empty for all)."""
@@ -52,30 +42,15 @@ def which_tiles(wanted, columns: int, rows: int):
 
 
 @kernel
-def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, wanted, changes):
+def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, rows, shift, wanted, changes, runs, n):
     """The runs of tiles within a row that the splats order[first:last] touch, in their order.
 
     The window's tiles begin at (tile_x, tile_y) of the image, columns x rows of them, of 2^shift pixels.  wanted: which of these get lists,
-    as which_tiles() tells.  Returns (splat, first tile, tile after the last) of every run, three int32 arrays, and adds to changes
-    [columns * rows + 1] by how much the number of a tile's splats differs from that of the tile before it.
+    as which_tiles() tells.  Writes splat, first tile and tile after the last of every run into runs [., 3], from row n on, until there
+    might be no room for another splat's.  Returns the first splat that is left, and n.  Adds to changes [columns * rows + 1] by how much
+    the number of a tile's splats differs from that of the tile before it.
     """
-    splat = np.empty(4 * (last - first) + rows, np.int32)
-    begin, end, n = np.empty_like(splat), np.empty_like(splat), 0
-    grid = tile_x, tile_y, columns, rows, shift
-    while True:
-        first, n = _spans(first, last, order, geometry, attributes, grid, wanted, changes, splat, begin, end, n)
-        if first == last:
-            return splat[:n], begin[:n], end[:n]
-        splat, begin, end = grown(splat, rows), grown(begin, rows), grown(end, rows)
-
-
-@inline
-def _spans(first, last, order, geometry, attributes, grid, wanted, changes, splat, begin, end, n):
-    """spans() from run n on, until splat, begin and end might not hold another splat's; returns the first splat that is left, and n.
-
-    Apart from it, as numba counts references to arrays that a loop replaces, for every splat.
-    """
-    (tile_x, tile_y, columns, rows, shift), (sums, after, before) = grid, wanted
+    sums, after, before = wanted
     tile, some = 1 << shift, len(after) > 0
     number, found = np.empty((1, LANES)), np.empty((2, LANES))
     for lane in range(LANES):
@@ -83,7 +58,7 @@ def _spans(first, last, order, geometry, attributes, grid, wanted, changes, spla
     # from here on in pixels from the centre of the first tile's first pixel
     right_most, bottom_most = columns * tile - 1.0, rows * tile - 1.0
     for k in range(first, last):
-        if n + rows > len(splat):
+        if n + rows > len(runs):
             return k, n
         i = np.intp(order[k])
         ahead = np.intp(order[min(k + AHEAD, last - 1)])
@@ -114,7 +89,7 @@ def _spans(first, last, order, geometry, attributes, grid, wanted, changes, spla
                 one, other = after[one], before[other]
             # written anyway, and kept where there are any: no branch, which the processor would guess wrong
             touched = one <= other
-            splat[n], begin[n], end[n] = i, one, other + 1
+            runs[n, 0], runs[n, 1], runs[n, 2] = i, one, other + 1
             changes[one] += touched
             changes[other + 1] -= touched
             n += touched
@@ -146,9 +121,9 @@ def _tile(x, shift):
 
 
 @kernel
-def scatter(splat, begin, end, first_tile, last_tile, cursor, ids):
-    """Write the splats of spans() into the lists of the tiles first_tile..last_tile; cursor [tiles]: where each goes next."""
-    for k in range(len(splat)):
-        for tile in range(max(begin[k], first_tile), min(end[k], last_tile)):
-            ids[cursor[tile]] = splat[k]
-            cursor[tile] += 1
+def scatter(runs, first_tile, last_tile, cursor, ids):
+    """Write the splats of the runs of spans() into the lists of the tiles first_tile..last_tile; cursor [tiles]: where each goes next."""
+    for k in range(len(runs)):
+        for tile in range(max(runs[k, 1], first_tile), min(runs[k, 2], last_tile)):
+            ids[cursor[np.uintp(tile)]] = runs[k, 0]
+            cursor[np.uintp(tile)] += np.uint32(1)
