@@ -10,7 +10,10 @@ work on and neighbours in the picture lie 3 apart.
 """
 from __future__ import annotations
 
+import math
+
 import numpy as np
+from numba import float32
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
@@ -252,3 +255,27 @@ def photometric(image, target, weight=None, dssim: float = 0.2):
     run(lambda first, last: compare(first, last, *rest), ranges(height, ROWS))
     dissimilar, l1 = (float(part) / total for part in sums[:-1].reshape(height, 2, -1).sum((0, 2), dtype=np.float64))
     return (1 - dssim) * l1 + dssim * dissimilar, grad.reshape(height, stride)[:, :length].reshape(height, columns, 3), l1, 1 - dissimilar
+
+
+@kernel
+def roots(first, last, x, y, weight, weighted, scale, out, squares):
+    """errors() of the rows first..last: squares [h] are the sums of (x - y)^2."""
+    for i in range(first, last):
+        total = float32(0)
+        for j in range(x.shape[1]):
+            red, green, blue = x[i, j, 0] - y[i, j, 0], x[i, j, 1] - y[i, j, 1], x[i, j, 2] - y[i, j, 2]
+            total += red * red + green * green + blue * blue
+            counts = weight[i, j] if weighted else float32(1)
+            out[i, j] = math.sqrt(scale * counts * (abs(red) + abs(green) + abs(blue)))
+        squares[i] = total
+
+
+def errors(image, target, weight, scale: float) -> tuple[float, np.ndarray]:
+    """The mean square of the difference of two pictures [h, w, 3], and the root [h, w] of scale * weight * its mean magnitude; weight as in
+    photometric()."""
+    height, columns, _ = image.shape
+    out, squares, weighted = np.empty((height, columns), np.float32), np.empty(height, np.float32), weight is not None
+    counts = np.ascontiguousarray(weight, np.float32) if weighted else out
+    rest = (*(np.ascontiguousarray(a, np.float32) for a in (image, target)), counts, weighted, np.float32(scale / 3), out, squares)
+    run(lambda first, last: roots(first, last, *rest), ranges(height, ROWS))
+    return float(squares.sum(dtype=np.float64)) / max(image.size, 1), out

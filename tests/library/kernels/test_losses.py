@@ -101,7 +101,8 @@ def test_the_number_of_threads_changes_no_byte(rng, monkeypatch):
             monkeypatch.setattr(loss, "ROWS", rows)
             threads.set_threads(count)
             value, gradient, *rest = loss.photometric(image, target, weight)
-            results.append((value, gradient.tobytes(), *rest))
+            square, roots = loss.errors(image, target, weight, 1.0)
+            results.append((value, gradient.tobytes(), *rest, square, roots.tobytes()))
     finally:
         threads.set_threads(0)
     assert results[0] == results[1] == results[2]
