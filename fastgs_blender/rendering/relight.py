@@ -179,7 +179,8 @@ def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, 
     gain = captured * (1 - shadows * (1 - past)) + lamps * (bare - shadows * (bare - all_))
     out = bright = instance
     if settings.takes_light:
-        appearance, features = painted(surface.instance, surface.index, [gain.T, free.T][:1 + drops], surface.local)
+        appearance, features = painted(surface.instance, surface.index, [np.ascontiguousarray(each.T) for each in (gain, free)[:1 + drops]],
+                                       surface.local)
         out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=appearance),
                               origin=instance.source, painted=True)
                       for each in features)
@@ -211,9 +212,9 @@ class _Surface:
         self.normal = smooth_normals(shown, backend, rows).T
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:
-        """Factors [M, 3] from captured colour to a mixture of it and the estimated unlit one."""
+        """Factors [M, 3], or [1, 3] for all, from captured colour to a mixture of it and the estimated unlit one."""
         if not share:
-            return np.ones((len(self.index), 3))
+            return np.ones((1, 3), np.float32)  # float32 as the light: half of the work
         normal = self.normal.T @ self.instance.placement[:3, :3]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         return 1 + share * (captured_light(self.instance.source, backend).unlit(normal) - 1)
