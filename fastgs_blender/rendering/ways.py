@@ -130,7 +130,7 @@ class Ways:
         centre  of the lamp [3]; light may begin as far from it, and end as far from a point, as wide says
         """
         axis, sign = number // 2, 2 * (number % 2) - 1
-        depth = sign * (points[axis] - centre[axis])
+        depth = np.maximum(sign * (points[axis] - centre[axis]), 1e-30)
         tangents = [(k, (points[k] - centre[k]) / depth) for k in range(3) if k != axis]
         edges = [(k, way, (way * tangent).max()) for k, tangent in tangents for way in (1, -1)]
 
