@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
+from ..util.threads import product
 from .shadow import Light
 
 TIMES = 8
@@ -57,16 +58,16 @@ class Lamp:
         """How much of its colour its point of that number sends to positions [3, M] with unit normals [3, M], in the world: [M]."""
         place = self.light.points[number]
         if self.light.parallel:
-            return np.maximum(place @ normal, 0)
+            return np.maximum(product(place, normal), 0)
         towards = place[:, None] - position
         square = np.maximum(np.einsum("km,km->m", towards, towards), 1e-12)
         length = np.sqrt(square)
         share = np.maximum(np.einsum("km,km->m", normal, towards), 0) / ((square + self.soft**2) * length)
         if self.beam is not None and self.axis is not None:
             if self.shape is not None:
-                towards = self.shape @ towards
+                towards = product(self.shape, towards)
                 length = np.sqrt(np.maximum(np.einsum("km,km->m", towards, towards), 1e-12))
-            share *= self.beam(-self.axis[number] @ towards / length)
+            share *= self.beam(product(-self.axis[number], towards) / length)
         return share
 
     def like(self, other: Lamp) -> bool:

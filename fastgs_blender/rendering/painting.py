@@ -9,6 +9,7 @@ import numpy as np
 
 from ..model.appearance import SH, SH_C0, Appearance, Changing, Features, decode, features_at, momentary
 from ..model.slicing import positions_at
+from ..util.threads import PIECE, ranges
 from .colour import linear_to_srgb, srgb_to_linear
 from .instances import ViewedInstance
 
@@ -24,7 +25,9 @@ def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray
         features = features_at(model.appearance, features, instance.t, mu_tau).astype(np.float32)
     if isinstance(appearance, Features):
         now = _now(features, (instance.t - mu_tau).astype(np.float32))
-        return features, decode(now, instance.camera_to_model[:3, 3].astype(np.float32), ray, appearance)
+        centre = instance.camera_to_model[:3, 3].astype(np.float32)
+        pieces = [decode(now[a:b], centre, ray[a:b], appearance) for a, b in ranges(len(now), PIECE)]  # see threads.product()
+        return features, np.concatenate(pieces or [features[:, :3]])
     return features, appearance.seen(features, ray)
 
 

@@ -16,6 +16,7 @@ from ..model.chapters import one_clip
 from ..model.gaussians import GaussianModel
 from ..model.slicing import positions_at, quaternions_at
 from ..util import rotations
+from ..util.threads import product
 from .instances import LIMIT, Instance, Moment, ViewedInstance
 
 THIN = 1e-3
@@ -67,7 +68,7 @@ class Shown:
 
         Normals are transformed by the inverse of the placement's transpose.
         """
-        normal = np.linalg.pinv(self.instance.placement[:3, :3]).T @ axes.T
+        normal = product(np.linalg.pinv(self.instance.placement[:3, :3]).T, axes.T)
         normal /= np.maximum(np.sqrt(np.einsum("im,im->m", normal, normal)), 1e-30)
         to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
         towards = -to_world[:3, 2:3] if self.instance.camera.orthographic else to_world[:3, 3:] - world.T
@@ -198,4 +199,4 @@ def shares(instances: list[ViewedInstance], names: Sequence) -> Quantity:
 
 
 def _transformed(matrix: np.ndarray, points: np.ndarray) -> np.ndarray:
-    return (matrix[:3, :3] @ points.T + matrix[:3, 3:]).T
+    return (product(matrix[:3, :3], points.T) + matrix[:3, 3:]).T

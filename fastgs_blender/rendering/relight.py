@@ -22,6 +22,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..util.threads import product
 from .contact import contact
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
@@ -190,7 +191,8 @@ def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, 
     of_meshes, of_splats = (shares_of(light[:, 0], light[:, stage]) for stage in (1, 3))
     takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
     numbers = np.concatenate([takes, of_meshes[:, None], of_splats[:, None]], 1).T.astype(np.float32)
-    wide = np.sqrt((np.tensordot(surface.instance.camera.world_to_camera[2, :3], surface.axes, 1) ** 2).sum(0))
+    along = product(surface.instance.camera.world_to_camera[2, :3], surface.axes.reshape(3, -1)).reshape(3, -1)
+    wide = np.sqrt((along * along).sum(0))
     return replace(out, taken=Taken(bright, numbers, surface.normal.T, wide, bool(on_edge(of_meshes).any())))
 
 
@@ -208,7 +210,7 @@ class _Surface:
         self.instance, self.index = instance, shown.index[rows]
         self.local, self.position = np.take(shown.position, rows, 0), np.take(shown.world.T, rows, 1)
         axes = np.take(shown.axes, rows, -1)
-        self.axes = (instance.placement[:3, :3] @ axes.reshape(3, -1)).reshape(axes.shape)
+        self.axes = product(instance.placement[:3, :3], axes.reshape(3, -1)).reshape(axes.shape)
         self.normal = smooth_normals(shown, backend, rows).T
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:

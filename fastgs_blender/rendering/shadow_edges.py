@@ -24,6 +24,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..util.threads import product
 from .colour import linear_to_srgb, scene_linear, straight
 from .exposure import Exposure
 from .instances import Instance, ViewedInstance
@@ -273,7 +274,7 @@ def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.
     spread = 1.0 if eye.orthographic else depth
     view = np.stack([(x + eye.width / 2 - eye.cx) / eye.fx * spread, (y + eye.height / 2 - eye.cy) / eye.fy * spread, depth])
     to_world = np.linalg.pinv(eye.world_to_camera)
-    return (to_world[:3, :3] @ view.reshape(3, -1) + to_world[:3, 3:]).reshape(view.shape)
+    return (product(to_world[:3, :3], view.reshape(3, -1)) + to_world[:3, 3:]).reshape(view.shape)
 
 
 def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:

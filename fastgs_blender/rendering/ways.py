@@ -17,6 +17,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
+from ..util.threads import product
 from .instances import Instance
 
 WIDEST = 8.0
@@ -73,7 +74,7 @@ class Ways:
         centre = light.points.mean(0)
         radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
         middle = -centre if light.parallel else _bounds(towards).mean(0)
-        (x, y, z), depth = towards, middle @ towards
+        (x, y, z), depth = towards, product(middle, towards)
         if light.parallel or (depth >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all():
             return [Side(np.arange(len(x)), self.instances, self.moments)]
         axis = np.abs(towards).argmax(0)
@@ -120,7 +121,8 @@ class Ways:
         for each in self.instances:
             size = SEEN * REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
             reach = np.maximum(np.float32(size) * np.exp(each.model.scale.max(1)), np.float32(SEEN * each.settings.min_size))
-            found.append(((each.placement[:3, :3] @ each.model.position.T + each.placement[:3, 3:]).astype(np.float32), reach))
+            centre = product(each.placement[:3, :3], each.model.position.T) + each.placement[:3, 3:]
+            found.append((centre.astype(np.float32), reach))
         return found
 
     def _through(self, number: int, rows: np.ndarray, points: np.ndarray, centre: np.ndarray, wide: float) -> Side:

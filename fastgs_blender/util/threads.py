@@ -12,6 +12,10 @@ from contextlib import contextmanager
 from functools import cache
 from typing import Any, TypeVar
 
+import numpy as np
+
+PIECE = 2048
+"""Columns of a product that OpenBLAS takes no thread for, of up to a hundred rows and sums."""
 _chosen = 0
 Result = TypeVar("Result")
 
@@ -108,6 +112,17 @@ def gathered(works: Sequence[Callable[[], Result]], tick: Callable[[], None], mo
             raise
     tick()
     return found
+
+
+def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
+    """left [k, m] or [m] @ right [m, N], piece by piece.
+
+    For long ones OpenBLAS takes threads of its own.  These go on spinning, so that a frame takes up to twice the processors' time.
+    """
+    out = np.empty((*left.shape[:-1], right.shape[1]), np.result_type(left, right))
+    for first, last in ranges(right.shape[1], PIECE):
+        np.matmul(left, right[:, first:last], out=out[..., first:last])
+    return out
 
 
 def ranges(total: int, size: int) -> list[tuple[int, int]]:

@@ -2,6 +2,7 @@
 """Work that is spread over threads."""
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 from fastgs_blender.util import threads
@@ -36,3 +37,13 @@ def test_what_a_piece_raises_stops_the_rest(count):
     with pytest.raises(KeyError):
         threads.run(work, [(k,) for k in range(10_000)])
     assert len(done) < 9_999
+
+
+@pytest.mark.parametrize("length", [0, 1, threads.PIECE, 3 * threads.PIECE + 5])
+def test_a_product_in_pieces_is_the_product(length):
+    rng = np.random.default_rng(0)
+    matrix, columns = rng.normal(size=(4, 3)), rng.normal(size=(3, length))
+    for left in (matrix, matrix[0]):
+        for right in (columns, np.ascontiguousarray(columns.T).T, columns.astype(np.float32)):
+            found = threads.product(left, right)
+            assert found.dtype == np.float64 and np.abs(found - left @ right).max(initial=0) < 1e-12
