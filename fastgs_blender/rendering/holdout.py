@@ -7,7 +7,7 @@ cover wholly, a splat shows only if its surface there (oracle.plane) lies no dee
 do not reach over what stands on them.  The light that triangles stop, the pixel's `held`, is neither the splats' nor that of what lies
 behind everything.
 """
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -16,6 +16,7 @@ from ..cameras.camera import Camera
 from ..util.arguments import numbers
 from ..util.errors import FastGSError
 
+Triangles = TypeVar("Triangles", np.ndarray, np.ndarray | None)
 SAMPLES = 16
 """Points in a pixel."""
 NEAREST = 1e-6
@@ -46,7 +47,7 @@ def as_triangles(given: ArrayLike | None) -> np.ndarray | None:
     return np.ascontiguousarray(found if finite.all() else found[finite], np.float32)
 
 
-def between(before: np.ndarray | None, after: np.ndarray | None, share: float) -> np.ndarray | None:
+def between(before: Triangles, after: Triangles, share: float) -> Triangles:
     """Triangles between those of two moments; those of the nearer one where they are not the same ones."""
     if before is after or before is None or after is None or before.shape != after.shape:
         return after if share > 0.5 else before

@@ -18,6 +18,7 @@ from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
 from ..util.threads import product
+from .holdout import between
 from .instances import Instance
 
 WIDEST = 8.0
@@ -99,7 +100,9 @@ class Ways:
         if eye is None:
             return meshes, splats
         if side.moments and len(side.moments[0]):
-            triangles = _between(side.moments, 0.0 if light.times is None else light.times[number])
+            last = len(side.moments) - 1
+            at = 0.0 if light.times is None else light.times[number] * last
+            triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
             found = self.backend.past_triangles(triangles, eye, points, np.full(several * count, float(over_meshes)))
             meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
@@ -182,15 +185,6 @@ def _bare(instance: Instance, backend: Any) -> Instance:
 def _bounds(points: np.ndarray) -> np.ndarray:
     """The least and the largest coordinates [2, 3] of points [3, P]."""
     return np.array([[row.min(), row.max()] for row in points]).T
-
-
-def _between(moments: Sequence[np.ndarray], time: float) -> np.ndarray:
-    """The triangles [F, 3, 3] at a time of the exposure, from 0 to 1."""
-    if len(moments) == 1:
-        return moments[0]
-    at = time * (len(moments) - 1)
-    first = min(int(at), len(moments) - 2)
-    return moments[first] + np.float32(at - first) * (moments[first + 1] - moments[first])
 
 
 def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int,

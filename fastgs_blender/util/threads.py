@@ -15,7 +15,7 @@ from typing import Any, TypeVar
 import numpy as np
 
 PIECE = 2048
-"""Columns of a product that OpenBLAS takes no thread for, of up to a hundred rows and sums."""
+"""Columns of a product with a small matrix: OpenBLAS makes so few in the thread that asks for them."""
 _chosen = 0
 Result = TypeVar("Result")
 
