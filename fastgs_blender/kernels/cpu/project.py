@@ -12,20 +12,20 @@ import numpy as np
 from numba import float32
 
 from ...rendering import oracle
-from ...rendering.distance import MARGIN, STEEP
 from ...rendering.instances import LIMIT
 from . import raster
 from .crop import crop_share, in_ball
 from .jit import inline, kernel
 from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
+from .sampling import PIXEL, blurs, far_squared
 from .spherical import sh_colour
 from .temporal import temporal_factor
 
 RGB, SH, FEATURES = range(3)
 REACH = oracle.REACH
-PIXEL = 4
-"""Place of a view's pixel size in distance.Sampling.row."""
+ROUNDING = 1.001
+"""Factor to the square of a reach, so that what is culled early is nothing that the window shows."""
 BLOCK = 512
 """Gaussians that are culled before what is left of them is projected."""
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
@@ -173,7 +173,8 @@ def _depths(axis0, axis1, axis2, row2, size0, size1, size2):
 def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
     """Change of a splat's depth by pixel in x and y: oracle.plane."""
     along_u, along_v = d0 * u[0] + d1 * u[1] + d2 * u[2], d0 * v[0] + d1 * v[1] + d2 * v[2]
-    x, y = (s11 * along_u - s01 * along_v) / det, (s00 * along_v - s01 * along_u) / det
+    whole = 1.0 / det
+    x, y = (s11 * along_u - s01 * along_v) * whole, (s00 * along_v - s01 * along_u) * whole
     change = abs(x) * radius_x + abs(y) * radius_y
     less = where(change > z, z / change, 1.0)
     x, y = x * less, y * less
@@ -182,44 +183,42 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
 
 
 @inline
-def coarsest(px, py, pz, row):
-    """distance.Sampling.coarsest() of one Gaussian; row: Sampling.row."""
-    cx, cy, cz, radius, _, coarse, least, _, _ = row
-    x, y, z = px - cx, py - cy, pz - cz
-    return max(least, coarse * (radius + math.sqrt(x * x + y * y + z * z)))
+def _may_show(x, y, z, largest, coarse, view, lens, bounds):
+    """Whether the window may show Gaussians, whatever their shape: all it shows, and few others.
+
+    largest  standard deviation, coarse  at least the square of the coarsest pixel of the capture
+    bounds   square of how many standard deviations they reach, blur, 1 / Sampling.pixel or 0, orthographic, ObjectSettings.bends
+    """
+    row0, row1, row2, _, _ = view
+    fx, fy, cx, cy, _, _, low_x, high_x, low_y, high_y, left, right, top, bottom = lens
+    reach, blur, finer, orthographic, bends = bounds
+    per_depth = 1.0 if orthographic else 1.0 / z
+    x, y, size, pixels = x * per_depth, y * per_depth, largest * per_depth, finer * per_depth
+    a02, a12 = 0.0 if orthographic else min(max(x, low_x), high_x), 0.0 if orthographic else min(max(y, low_y), high_y)
+    u0, u1, u2 = row0[0] - a02 * row2[0], row0[1] - a02 * row2[1], row0[2] - a02 * row2[2]
+    v0, v1, v2 = row1[0] - a12 * row2[0], row1[1] - a12 * row2[1], row1[2] - a12 * row2[2]
+    size, blur = size * size, blur * max(coarse * pixels * pixels, 1.0)
+    across, down = max(left - cx - fx * x, fx * x + cx - right, 0.0), max(top - cy - fy * y, fy * y + cy - bottom, 0.0)
+    shows = ((across * across <= reach * (fx * fx * (u0 * u0 + u1 * u1 + u2 * u2) * size + blur))
+             & (down * down <= reach * (fy * fy * (v0 * v0 + v1 * v1 + v2 * v2) * size + blur)))
+    if bends and not orthographic:  # what is linearised nearer than at its centre is larger
+        shows = shows | (z * z <= REACH * REACH * (row2[0] * row2[0] + row2[1] * row2[1] + row2[2] * row2[2]) * (largest * largest))
+    return shows
 
 
 @inline
-def _blurs(px, py, pz, depth, largest, blur, sampling):
-    """distance.Sampling.blurs() of one Gaussian."""
-    row, cameras = sampling
-    _, _, _, _, pixel, _, least, reach, fades = row
-    size, found = pixel * depth, coarsest(px, py, pz, row)
-    far, fainter = size > MARGIN * found, MARGIN * found / size
-    for i in range(len(cameras)):
-        if not anywhere(found > MARGIN * size):
-            break
-        x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
-        along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
-        if not anywhere(abs(along) * cameras[i, 3] < found):
-            continue
-        r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
-        outside = max((r - reach * largest) * cameras[i, 7] - along, 0.0)
-        found = min(found, (abs(along) + STEEP * outside) * cameras[i, 3])
-    finer = max(max(found, least) / (MARGIN * size), 1.0)
-    return where(far, blur, blur * finer * finer), where(far, blur * fainter * fainter if fades > 0.0 else blur, blur * finer * finer)
-
-
-@inline
-def _opaque(first, last, boxes, look, arrays, times, view, lens, alpha_cut, number, found):
-    """The Gaussians of first..last that are opaque enough at this time and lie between the planes of the camera; returns how many.
+def _opaque(first, last, boxes, look, arrays, times, view, lens, constants, number, found):
+    """The Gaussians of first..last that are opaque enough at this time and may be seen; returns how many.
 
     Writes which they are into number, and their opacity and place into found [4, BLOCK + LANES].
     """
     crops, ball, hidden = boxes
-    position, _, _, opacity, _, motion, _, mu_tau, temporal = arrays
+    position, _, scale, opacity, _, motion, _, mu_tau, temporal = arrays
     t, temporal_code, (index, weights, centred), _ = times
+    blur, _, alpha_cut, _, orthographic, (captured, _), bends = constants
     (row0, row1, row2, shift, _), near, far = view, lens[4], lens[5]
+    log2_cut, sized, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, captured[PIXEL] > 0.0
+    finer = 1.0 / captured[PIXEL] if sampled else 0.0
     hides, filtered, count = len(crops[1]) > 0, len(hidden) > 0, 0
     for begin in range(first, last, LANES):
         n = following(begin, last)
@@ -230,12 +229,18 @@ def _opaque(first, last, boxes, look, arrays, times, view, lens, alpha_cut, numb
             continue
         px, py, pz = _moved3(motion, n, index, weights, centred, t - mu_tau[n])
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        _, _, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        alive &= (z > near) & (z <= far)
+        largest = exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
+        if sized:
+            largest *= size_factor(largest, look)
+        reach = 2.0 * math.log(2.0) * ROUNDING * (log2(sigma) - log2_cut)
+        alive &= _may_show(x, y, z, largest, far_squared(px, py, pz, captured), view, lens, (reach, blur, finer, orthographic, bends))
         put(found, 0, count, sigma)
         put(found, 1, count, px)
         put(found, 2, count, py)
         put(found, 3, count, pz)
-        lanes, begun = bits(alive & (z > near) & (z <= far)), count
+        lanes, begun = bits(alive), count
         for lane in range(min(LANES, last - begin)):
             if not lanes >> lane & 1 or (filtered and hidden[begin + lane]):
                 continue
@@ -277,7 +282,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     number, found, made = np.empty(BLOCK, np.int64), np.empty((4, BLOCK + LANES)), np.empty((PLANE + 3, LANES))
     out = first
     for begin in range(first, last, BLOCK):
-        count = _opaque(begin, min(begin + BLOCK, last), boxes, look, arrays, times, rows_of(view), lens, alpha_cut, number, found)
+        count = _opaque(begin, min(begin + BLOCK, last), boxes, look, arrays, times, rows_of(view), lens, constants, number, found)
         for k in range(0, count, LANES):
             n = picked(number, k, count)
             sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
@@ -310,7 +315,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
             blur, small = trained_blur, trained_blur
             if sampled:
-                blur, small = _blurs(px, py, pz, 1.0 if orthographic else z, largest * resized, trained_blur, sampling)
+                blur, small = blurs(px, py, pz, 1.0 if orthographic else z, largest * resized, trained_blur, sampling)
             s00, s01, s11, sharp, det = _covariance(u, v, blur)
             alive = (det > 0.0) & (s00 + s11 < np.inf)
             if antialiased:
@@ -342,7 +347,7 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
             put(made, DEPTH, 0, z)
             put(made, DELTA, 0, delta)
             if plane_channel >= 0:
-                d0, d1, d2 = _depths(axis0, axis1, axis2, row2, size0 / per_depth, size1 / per_depth, size2 / per_depth)
+                d0, d1, d2 = _depths(axis0, axis1, axis2, row2, scale0 * resized, scale1 * resized, scale2 * resized)
                 less, area = (0.0, det) if blurred else (blur, sharp)
                 slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
                 put(made, PLANE, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))

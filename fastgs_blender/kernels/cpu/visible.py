@@ -14,7 +14,8 @@ from .crop import crop_share, in_ball
 from .jit import kernel
 from .lanes import exp
 from .look import FAINTEST, OPACITY, SIZED, size_factor
-from .project import PIXEL, _moved3, coarsest
+from .project import _moved3
+from .sampling import PIXEL, coarsest
 from .sort import order_by
 from .splats import CHUNK, plain, weights_at
 from .temporal import temporal_factor
