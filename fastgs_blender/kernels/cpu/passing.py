@@ -212,7 +212,11 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
         if len(splat) < total:
             box, splat = np.empty((4, 2 * total + simd.LANES), np.float32), np.empty((2 * total, 12), np.float32)
             near = np.empty(2 * total + simd.LANES, np.int32)
-        gather(starts[tile], total, ids, geometry, attributes, plane, left, top, left - middle_x, top - middle_y, box, splat)
+        deepest = float32(-np.inf)
+        for q in range(begins[tile * PARTS], begins[(tile + 1) * PARTS]):
+            deepest = max(deepest, float32(seen[2, asked[q]]))
+        deepest += float32(1.01 * layer)
+        total = gather(starts[tile], total, ids, geometry, attributes, plane, left, top, middle_x, middle_y, deepest, box, splat)
         for part in range(tile * PARTS, (tile + 1) * PARTS):
             if begins[part] == begins[part + 1]:
                 continue
@@ -220,10 +224,10 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
             for begin in range(begins[part], begins[part + 1], BATCH):
                 count, farthest = min(BATCH, begins[part + 1] - begin), float32(-np.inf)
                 for j in range(BATCH):
-                    light[j], px[j], py[j], limit[j] = float32(1.0), float32(0.0), float32(0.0), float32(-np.inf)
+                    light[j], px[j], py[j], limit[j] = float32(0.0), float32(0.0), float32(0.0), float32(-np.inf)
                     if j < count:
                         p = asked[begin + j]
-                        px[j], py[j], limit[j] = within(seen[0, p] - left), within(seen[1, p] - top), seen[2, p]
+                        light[j], px[j], py[j], limit[j] = float32(1.0), within(seen[0, p] - left), within(seen[1, p] - top), seen[2, p]
                         farthest = max(farthest, limit[j])
                 farthest += float32(1.01 * layer)
                 for n in range(found):
@@ -239,12 +243,8 @@ def transmitted(first, last, tile_x, tile_y, columns, starts, ids, geometry, att
                         before = max(depth, z + slope_x * px[j] + slope_y * py[j])
                         alpha = min(exp2(max(exponent, float32(-8.0))), most)
                         light[j] -= light[j] * (alpha if (exponent >= cut) & (before < limit[j]) else float32(0.0))
-                    if n % 8 == 7:
-                        brightest = float32(0.0)
-                        for j in range(count):
-                            brightest = max(brightest, light[j])
-                        if brightest < DARK:
-                            break
+                    if n % 8 == 7 and not simd.any_from(light, 0, float32(DARK)):
+                        break
                 for j in range(count):
                     out[asked[begin + j]] = light[j]
 
@@ -295,22 +295,26 @@ def keep8(context, box, stride, k, west, east, north, south, choices, near, foun
 
 
 @inline
-def gather(start, total, ids, geometry, attributes, plane, left, top, from_middle_x, from_middle_y, box, splat):
-    """What transmitted() reads of the splats of a tile's list, pixels counted from its corner: the boxes that they fill [4, splats], with
-    eight empty ones after them, and the rest of each side by side [splats, 12]."""
+def gather(start, total, ids, geometry, attributes, plane, left, top, middle_x, middle_y, deepest, box, splat):
+    """What transmitted() reads of the splats of a tile's list up to a depth, pixels counted from its corner: the boxes that they fill
+    [4, splats], with eight empty ones after them, and the rest of each side by side [splats, 12].  Returns how many they are."""
     for k in range(total):
         i = ids[start + k]
+        if attributes[i, raster.DEPTH] > deepest:
+            total = k
+            break
         mx, my = geometry[i, raster.MEAN_X] - left, geometry[i, raster.MEAN_Y] - top
         rx, ry = attributes[i, raster.RADIUS_X], attributes[i, raster.RADIUS_Y]
         box[0, k], box[1, k], box[2, k], box[3, k] = mx + rx, mx - rx, my + ry, my - ry
         splat[k, 0], splat[k, 1], splat[k, 2] = attributes[i, raster.DEPTH], mx, my
         splat[k, 3], splat[k, 4], splat[k, 5] = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
         slope_x, slope_y = attributes[i, plane + 1], attributes[i, plane + 2]
-        splat[k, 6] = attributes[i, plane] + slope_x * from_middle_x + slope_y * from_middle_y
+        splat[k, 6] = attributes[i, plane] + slope_x * (left - middle_x) + slope_y * (top - middle_y)
         splat[k, 7], splat[k, 8], splat[k, 9] = slope_x, slope_y, attributes[i, raster.LOG2_OPACITY]
         splat[k, 10], splat[k, 11] = attributes[i, raster.ALPHA_MAX], attributes[i, raster.LOG2_CUT]
     for k in range(total, total + simd.LANES):
         box[0, k] = -np.inf
+    return total
 
 
 @kernel

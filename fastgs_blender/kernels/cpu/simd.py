@@ -184,3 +184,11 @@ def prefetch(context, array, index):
             b.call(function, [b.gep(row, [place]), number(0), number(3), number(1)])
         return context.get_dummy_value()
     return types.void(array, types.intp), build
+
+
+@intrinsic
+def any_from(context, array, index, bound):
+    """Whether any of the eight elements from index on, of a C-contiguous float32 array, is at least so large."""
+    def build(context, b, signature, args):
+        return any_of(b, Memory(context, b, signature.args[0], args[0]).floats(args[1], 0) >= broadcast(b, args[2]))
+    return types.boolean(array, types.intp, types.float32), build
