@@ -10,6 +10,8 @@ import numpy as np
 
 SPLATS = 800_000
 """Splats up to which memory is kept: that of more would be much of what a process holds."""
+LEAST = 1 << 18
+"""Bytes of an array from which on it is worth a search."""
 MOST = 96 << 20
 """Bytes that are kept at most."""
 
@@ -21,7 +23,7 @@ _blocks: list[tuple[np.ndarray, weakref.ref[np.ndarray]]] = []
 def empty(shape: tuple[int, ...], dtype: type, splats: int) -> np.ndarray:
     """np.empty() for a picture of so many splats, in the memory of arrays before that nobody has any more."""
     size = math.prod(shape) * np.dtype(dtype).itemsize
-    if splats > SPLATS or not size:
+    if splats > SPLATS or size < LEAST:
         return np.empty(shape, dtype)
     with _lock:
         free = [k for k, (block, user) in enumerate(_blocks) if size <= len(block) <= 2 * size and user() is None]

@@ -9,6 +9,7 @@ from fastgs_blender.kernels.cpu import memory
 @pytest.fixture(autouse=True)
 def nothing_kept(monkeypatch):
     monkeypatch.setattr(memory, "_blocks", [])
+    monkeypatch.setattr(memory, "LEAST", 1)
 
 
 def test_memory_is_used_again_once_nobody_has_a_view_of_it():
@@ -26,8 +27,11 @@ def test_memory_is_used_again_once_nobody_has_a_view_of_it():
 
 def test_little_is_kept(monkeypatch):
     assert memory.empty((100,), np.float32, memory.SPLATS + 1).shape == (100,) and memory.empty((0, 3), np.int32, 5).size == 0
+    monkeypatch.setattr(memory, "LEAST", 1000)
+    assert memory.empty((100,), np.float32, 10).shape == (100,)  # too small to be worth a search
     assert not memory._blocks
     monkeypatch.setattr(memory, "MOST", 10_000)
+    monkeypatch.setattr(memory, "LEAST", 1)
     memory.empty((1000,), np.float64, 10)
     held = memory.empty((1000,), np.float64, 10)
     held[:] = 1
