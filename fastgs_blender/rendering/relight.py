@@ -17,12 +17,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import product
+from ..util.threads import product, several
 from .contact import contact
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
@@ -133,11 +134,12 @@ class SceneLight:
             parts = [spots.part(lit[side.rows]) for side in sides]
             rows = np.concatenate([lit[side.rows] for side in sides] or [lit])  # of each side side by side
             ends = np.cumsum([0, *map(len, parts)])
-            alike, full = np.zeros((4, len(rows))), np.zeros((4, 1, len(spots)), np.float32)
+            alike, full = np.zeros((4, len(rows)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
+            looks = [(k, *each) for k in range(len(colour)) for each in zip(sides, parts)]
+            through = several(lambda k, side, part, ways=ways, lamp=lamp: self._through(ways, lamp, k, side, part, backend), looks)
             for k, share in enumerate(np.take(shares, rows, 1)):
-                for side, part, begin, end in zip(sides, parts, ends, ends[1:]):
-                    meshes, splats = self._through(ways, lamp, k, side, part, backend)
-                    arrived = share[begin:end]
+                for begin, end in pairwise(ends):
+                    (meshes, splats), arrived = next(through), share[begin:end]
                     for sums, let in zip(alike[:, begin:end], (1, meshes, meshes * splats, splats), strict=True):
                         sums += arrived * let
                 if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
@@ -160,7 +162,7 @@ class SceneLight:
 
 def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:
     """Which share of its colour each of a lamp's points sends to spots: [L, P], and which of these it lights [R]."""
-    shares, any_ = np.empty((len(lamp.light.points), len(spots))), np.zeros(len(spots), bool)
+    shares, any_ = np.empty((len(lamp.light.points), len(spots)), np.float32), np.zeros(len(spots), bool)
     among = spots.lit_by(lamp.name)
     for number, row in enumerate(shares):
         np.multiply(lamp.share(number, spots.position, spots.normal), among, out=row)

@@ -15,10 +15,11 @@ from numpy.typing import ArrayLike
 
 from ..cameras.camera import Camera
 from ..util.errors import FastGSError
+from ..util.threads import several
 from .exposure import PLASTIC
 from .holdout import as_triangles
 from .instances import ViewedInstance
-from .ways import Ways, across
+from .ways import Side, Ways, across
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,10 +106,14 @@ class Shadow:
         points = camera.points(np.where(seen, depth, 1))[seen].T
         ways, total = Ways(backend, instances, None).of_lamp(self.lamp), np.zeros(points.shape[1])
         sides = ways.sides(self.light, points)
-        for i in range(len(self.light.points)):
-            for side in sides:
-                total[side.rows] += ways.past(self.light, i, side, points[:, None, side.rows], self.size, over_splats=self.bias)[1]
-            progress((i + 1) / len(self.light.points))
+
+        def let(number: int, side: Side) -> np.ndarray:
+            return ways.past(self.light, number, side, points[:, None, side.rows], self.size, over_splats=self.bias)[1]
+
+        looks = [(number, side) for number in range(len(self.light.points)) for side in sides]
+        for done, ((_, side), share) in enumerate(zip(looks, several(let, looks), strict=True), 1):
+            total[side.rows] += share
+            progress(done / len(looks))
         out[seen] = total / len(self.light.points)
         return out
 

@@ -24,13 +24,14 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import product
+from ..util.threads import product, several
 from .colour import linear_to_srgb, scene_linear, straight
 from .exposure import Exposure
 from .instances import Instance, ViewedInstance
+from .lamps import Lamp
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Ways
+from .ways import Side, Ways
 
 PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
@@ -44,6 +45,8 @@ FAINT = 1e-3
 """Alpha up to which nothing is seen of a pixel."""
 NUMBERS = 5
 """Numbers of a lamp (Taken.numbers)."""
+STEEP = 0.25
+"""Difference of shares around a pixel up to which its Gaussians' own shadows of a large lamp are sharp enough."""
 BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
 WIDEST = 8
@@ -150,8 +153,13 @@ class _Drawn:
                            np.zeros((len(shown.index), 3)))
         rgb, alpha, sums = self._sums(instances, eye, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
         numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
-        at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
+        soft = np.zeros(lamps)
+        for lamp, level in zip(light.lamps, light.levels, strict=True):
+            soft[level] = max(soft[level], 1 - 1 / len(lamp.light.points))
+        asked = _asked(numbers[..., 3, :], alpha, BLOCK, STEEP * soft)
+        at = np.nonzero(asked)
         one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
+        one *= asked[at]
         rows = np.flatnonzero(one > SHARP)
         if not len(rows):
             return
@@ -232,16 +240,29 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     return np.repeat([[0, 0, 0, 1, 1]], lamps, 1).repeat(len(shown.index), 0)
 
 
-def _asked(past: np.ndarray, alpha: np.ndarray, block: int) -> np.ndarray:
-    """Which pixels [h, w] lie in or beside a block of so many pixels with an edge, of sums of shares past meshes [h, w, L] and alpha."""
+def _asked(past: np.ndarray, alpha: np.ndarray, block: int, steep: np.ndarray) -> np.ndarray:
+    """Which pixels [h, w] ask, from 0 to 1, of sums of shares past meshes [h, w, L] and alpha: those in or beside a block of so many pixels
+    with an edge, where the shares around differ by more than `steep` [L], and wholly from twice as much on."""
     (height, width), there = alpha.shape, alpha > FAINT
     rows, columns = -(-height // block), -(-width // block)
-    blocks = np.zeros((rows * block, columns * block), bool)
-    blocks[:height, :width] = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
-    blocks = np.pad(blocks.reshape(rows, block, columns, block).any((1, 3)), 1)
-    blocks = blocks[:-2] | blocks[1:-1] | blocks[2:]
-    blocks = blocks[:, :-2] | blocks[:, 1:-1] | blocks[:, 2:]
-    return blocks.repeat(block, 0).repeat(block, 1)[:height, :width] & there
+    share = past / np.maximum(alpha, FAINT)[..., None]
+
+    def around(of: np.ufunc, values: np.ndarray, none: float) -> np.ndarray:
+        """The least, or the most, in each block and those beside it."""
+        whole = np.full((rows * block, columns * block, past.shape[2]), none, values.dtype)
+        whole[:height, :width][there] = values[there]
+        found = np.pad(of.reduce(whole.reshape(rows, block, columns, block, -1), (1, 3)), ((1, 1), (1, 1), (0, 0)), constant_values=none)
+        found = of.reduce([found[:-2], found[1:-1], found[2:]])
+        return of.reduce([found[:, :-2], found[:, 1:-1], found[:, 2:]])
+
+    steps = around(np.maximum, share, -np.inf) - around(np.minimum, share, np.inf)
+    asked = (np.clip(steps / np.maximum(steep, 1e-9) - 1, 0, 1) * around(np.logical_or, on_edge(share), False)).max(-1)
+    for size in (height, width):  # between the blocks' middles in a line, so that no block is seen
+        at = np.clip((np.arange(size) + 0.5) / block - 0.5, 0, len(asked) - 1)
+        low = at.astype(int)
+        high, share = np.minimum(low + 1, len(asked) - 1), (at - low)[:, None]
+        asked = (asked[low] * (1 - share) + asked[high] * share).T
+    return asked * there
 
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -284,18 +305,19 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     free, left, squares = np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        for side in ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max())):
-            at, facing = middle[:, side.rows], normal[:, side.rows]
-            for k in np.flatnonzero(bright):
-                each = min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
-                share = bright[k] * lamp.share(k, at, facing)
-                lit = np.flatnonzero(share)
-                if len(lit):
-                    rows = side.rows[lit]
-                    own = np.take(places[:, (k * each + np.arange(each)) % len(WITHIN)], rows, 2)
-                    open_ = ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
-                    free[level, rows] += share[lit]
-                    left[level, rows] += share[lit] * open_
-                    squares[level, rows] += share[lit] ** 2
+        sides = ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max()))
+
+        def told(k: int, side: Side, lamp: Lamp = lamp, ways: Ways = ways, bright: np.ndarray = bright) -> tuple[np.ndarray, ...]:
+            """Which pixels a point of the lamp lights, how much, and which share of that comes past the meshes."""
+            share = bright[k] * lamp.share(k, middle[:, side.rows], normal[:, side.rows])
+            lit, each = np.flatnonzero(share), min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
+            rows = side.rows[lit]
+            own = np.take(places[:, (k * each + np.arange(each)) % len(WITHIN)], rows, 2)
+            return rows, share[lit], ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
+
+        for rows, share, open_ in several(told, [(k, side) for side in sides for k in np.flatnonzero(bright)]):
+            free[level, rows] += share
+            left[level, rows] += share * open_
+            squares[level, rows] += share**2
     shine = np.maximum(free, 1e-30)
     return (left / shine).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T

@@ -81,7 +81,8 @@ class Ways:
         axis = np.abs(towards).argmax(0)
         side = 2 * axis + (np.take_along_axis(towards, axis[None], 0)[0] > 0)
         through = [(number, np.flatnonzero(side == number)) for number in np.unique(side).tolist()]
-        return [self._through(number, rows, np.take(points, rows, 1), centre, max(radius, wide())) for number, rows in through]
+        around = max(radius, wide())
+        return [self._through(number, rows, np.take(points, rows, 1), centre, around) for number, rows in through]
 
     def past(self, light: Any, number: int, side: Side, places: np.ndarray, size: int, over_meshes: float = 0.0,
              over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -96,7 +97,7 @@ class Ways:
         _, several, count = places.shape
         points = places.reshape(3, -1)
         meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
-        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend)
+        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend) if count else None
         if eye is None:
             return meshes, splats
         if side.moments and len(side.moments[0]):

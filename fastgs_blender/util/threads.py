@@ -6,6 +6,7 @@ fallback layer aborts the process when two threads render at once.  What a piece
 work is cut, so the result has the same bytes for any number of threads.
 """
 import os
+import threading
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from concurrent.futures import FIRST_EXCEPTION, ThreadPoolExecutor, wait
 from contextlib import contextmanager
@@ -16,7 +17,11 @@ import numpy as np
 
 PIECE = 2048
 """Columns of a product with a small matrix: OpenBLAS makes so few in the thread that asks for them."""
+AHEAD = 4
+"""Pieces for each thread that several() works on before their results are asked for."""
 _chosen = 0
+_here = threading.local()
+"""busy: whether all threads have pieces of the work that this one is a part of."""
 Result = TypeVar("Result")
 
 
@@ -47,6 +52,12 @@ def available() -> int:
     wanted = os.environ.get("FASTGS_THREADS") or os.environ.get("NUMBA_NUM_THREADS") or "0"
     if wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
+    return _processors()
+
+
+@cache
+def _processors() -> int:
+    """The processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 
@@ -62,28 +73,33 @@ if hasattr(os, "register_at_fork"):
 def run(work: Callable[..., Any], pieces: Iterable[tuple], progress: Callable[[float], object] | None = None) -> list:
     """[work(*piece) for piece in pieces], side by side.
 
-    progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.
+    progress is called with 0..1 from the calling thread as pieces end; what it, or a piece, raises stops the rest and passes on.  Within
+    a piece run() works in that piece's thread alone where all threads have pieces: waking others would only take time.
     """
-    pieces = list(pieces)
-    if len(pieces) == 1 and not progress:  # small pictures are many
-        return [work(*pieces[0])]
+    pieces, busy = list(pieces), getattr(_here, "busy", False)
+    count = 1 if busy else min(thread_count(), len(pieces))
+    if count <= 1 and not progress:  # small pictures are many
+        return [work(*piece) for piece in pieces]
     results: list[Any] = [None] * len(pieces)
     numbers, failed = iter(range(len(pieces))), list[int]()
 
     def take(progress: Callable[[float], object] | None = None) -> None:
-        for k in numbers:  # threads share it: each number comes once
-            if failed:
-                return
-            try:
-                results[k] = work(*pieces[k])
-                if progress:
-                    progress((k + 1) / len(pieces))
-            except BaseException:
-                failed.append(k)
-                raise
+        _here.busy = busy or len(pieces) >= thread_count()
+        try:
+            for k in numbers:  # threads share it: each number comes once
+                if failed:
+                    return
+                try:
+                    results[k] = work(*pieces[k])
+                    if progress:
+                        progress((k + 1) / len(pieces))
+                except BaseException:
+                    failed.append(k)
+                    raise
+        finally:
+            _here.busy = busy
 
-    count = thread_count()
-    others = [_pool(count).submit(take) for _ in range(min(count, len(pieces)) - 1)]
+    others = [_pool(thread_count()).submit(take) for _ in range(count - 1)]
     try:
         take(progress)
     finally:
@@ -94,6 +110,12 @@ def run(work: Callable[..., Any], pieces: Iterable[tuple], progress: Callable[[f
     if progress and others:
         progress(1.0)
     return results
+
+
+def several(work: Callable[..., Result], pieces: Sequence[tuple]) -> Iterator[Result]:
+    """The results of work(*piece) one after the other; some pieces are worked on side by side before their results are asked for."""
+    for first, last in ranges(len(pieces), AHEAD * thread_count()):
+        yield from run(work, pieces[first:last])
 
 
 def gathered(works: Sequence[Callable[[], Result]], tick: Callable[[], None], most: int = 4) -> list[Result]:
