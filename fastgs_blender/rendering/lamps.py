@@ -59,7 +59,7 @@ class Lamp:
         place = self.light.points[number]
         if self.light.parallel:
             return np.maximum(product(place, normal), 0)
-        towards = place[:, None] - position
+        towards = (place[:, None] - position).astype(np.float32)
         square = np.maximum(np.einsum("km,km->m", towards, towards), 1e-12)
         length = np.sqrt(square)
         share = np.maximum(np.einsum("km,km->m", normal, towards), 0) / ((square + self.soft**2) * length)

@@ -213,7 +213,7 @@ class _Surface:
         self.local, self.position = np.take(shown.position, rows, 0), np.take(shown.world.T, rows, 1)
         axes = np.take(shown.axes, rows, -1)
         self.axes = product(instance.placement[:3, :3], axes.reshape(3, -1)).reshape(axes.shape)
-        self.normal = smooth_normals(shown, backend, rows).T
+        self.normal = smooth_normals(shown, backend, rows).T.astype(np.float32)
 
     def unlit(self, share: float, backend: Any) -> np.ndarray:
         """Factors [M, 3], or [1, 3] for all, from captured colour to a mixture of it and the estimated unlit one."""

@@ -243,15 +243,16 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
 def _asked(past: np.ndarray, alpha: np.ndarray, block: int, steep: np.ndarray) -> np.ndarray:
     """Which pixels [h, w] ask, from 0 to 1, of sums of shares past meshes [h, w, L] and alpha: those in or beside a block of so many pixels
     with an edge, where the shares around differ by more than `steep` [L], and wholly from twice as much on."""
-    (height, width), there = alpha.shape, alpha > FAINT
+    (height, width), there = alpha.shape, (alpha > FAINT)[..., None]
     rows, columns = -(-height // block), -(-width // block)
     share = past / np.maximum(alpha, FAINT)[..., None]
 
     def around(of: np.ufunc, values: np.ndarray, none: float) -> np.ndarray:
         """The least, or the most, in each block and those beside it."""
         whole = np.full((rows * block, columns * block, past.shape[2]), none, values.dtype)
-        whole[:height, :width][there] = values[there]
-        found = np.pad(of.reduce(whole.reshape(rows, block, columns, block, -1), (1, 3)), ((1, 1), (1, 1), (0, 0)), constant_values=none)
+        np.copyto(whole[:height, :width], values, where=there)
+        found = of.reduce(of.reduce(whole.reshape(rows, block, columns * block, -1), 1).reshape(rows, columns, block, -1), 2)
+        found = np.pad(found, ((1, 1), (1, 1), (0, 0)), constant_values=none)
         found = of.reduce([found[:-2], found[1:-1], found[2:]])
         return of.reduce([found[:, :-2], found[:, 1:-1], found[:, 2:]])
 
@@ -262,7 +263,7 @@ def _asked(past: np.ndarray, alpha: np.ndarray, block: int, steep: np.ndarray) -
         low = at.astype(int)
         high, share = np.minimum(low + 1, len(asked) - 1), (at - low)[:, None]
         asked = (asked[low] * (1 - share) + asked[high] * share).T
-    return asked * there
+    return asked * there[..., 0]
 
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:

@@ -34,7 +34,9 @@ class Spots:
     @classmethod
     def of(cls, surfaces: Sequence[Any]) -> Spots:
         """The Gaussians of all surfaces (relight.py)."""
-        position, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces], -1) for name in ("position", "normal", "axes"))
+        first, *others = surfaces
+        position, normal, axes = (np.concatenate([getattr(each, name) for each in surfaces], -1) if others else getattr(first, name)
+                                  for name in ("position", "normal", "axes"))
         owner = np.repeat(np.arange(len(surfaces)), [len(each.index) for each in surfaces])
         return cls(position, normal, axes, owner, tuple(each.instance.settings for each in surfaces))
 

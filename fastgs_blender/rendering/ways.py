@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, reduce
 from typing import Any
 
 import numpy as np
@@ -124,7 +124,8 @@ class Ways:
         found = []
         for each in self.instances:
             size = SEEN * REACH * np.linalg.norm(each.placement[:3, :3], 2) * each.settings.splat_scale
-            reach = np.maximum(np.float32(size) * np.exp(each.model.scale.max(1)), np.float32(SEEN * each.settings.min_size))
+            largest = np.exp(reduce(np.maximum, each.model.scale.T))
+            reach = np.maximum(np.float32(size) * largest, np.float32(SEEN * each.settings.min_size))
             centre = product(each.placement[:3, :3], each.model.position.T) + each.placement[:3, 3:]
             found.append((centre.astype(np.float32), reach))
         return found

@@ -47,17 +47,12 @@ def all_threads() -> Iterator[None]:
         set_threads(before)
 
 
+@cache
 def available() -> int:
     """Threads where nobody chose a number: $FASTGS_THREADS or $NUMBA_NUM_THREADS, else the processors of this process."""
     wanted = os.environ.get("FASTGS_THREADS") or os.environ.get("NUMBA_NUM_THREADS") or "0"
     if wanted.isdigit() and int(wanted) > 0:
         return int(wanted)
-    return _processors()
-
-
-@cache
-def _processors() -> int:
-    """The processors that this process may use."""
     return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
 
 

@@ -2,6 +2,8 @@
 """Work that is spread over threads."""
 from __future__ import annotations
 
+import threading
+
 import numpy as np
 import pytest
 
@@ -24,6 +26,40 @@ def test_results_come_in_the_order_of_the_pieces(count):
 def test_a_piece_may_spread_work_itself(count):
     inner = [threads.run(lambda k: [threads.run(lambda n: n, [(n,) for n in range(5)]) for _ in range(5)], [(k,) for k in range(9)])]
     assert inner == [[[list(range(5))] * 5] * 9]
+
+
+@pytest.mark.parametrize("pieces", [2, 9])
+def test_pieces_of_a_piece_stay_in_its_thread_where_all_threads_have_pieces(pieces):
+    threads.set_threads(3)
+    meet = threading.Barrier(2)
+
+    def work(k):
+        return {thread for thread, in threads.run(lambda n: (threading.get_ident(),), [(n,) for n in range(5)])}, threading.get_ident()
+
+    def apart(n):
+        meet.wait(10)  # two threads have to come
+        return threading.get_ident()
+
+    try:
+        for inner, own in threads.run(work, [(k,) for k in range(pieces)]):
+            assert pieces < 3 or inner == {own}
+        assert len(set(threads.run(apart, [(0,), (1,)]))) == 2  # and they are free again
+        assert threads.run(lambda k: threads.run(apart, [(0,), (1,)])[0] > 0, [(0,)]) == [True]
+    finally:
+        threads.set_threads(0)
+
+
+def test_results_of_several_come_in_order_and_not_all_at_once(count):
+    begun = []
+
+    def work(k):
+        begun.append(k)
+        return k * k
+
+    found = threads.several(work, [(k,) for k in range(100)])
+    assert [next(found), next(found)] == [0, 1] and len(begun) == threads.AHEAD * count
+    assert list(found) == [k * k for k in range(2, 100)] and sorted(begun) == list(range(100))
+    assert list(threads.several(work, [])) == []
 
 
 def test_what_a_piece_raises_stops_the_rest(count):
