@@ -11,7 +11,7 @@ that strokes pull to 1 and -1 and everything else weakly to 0, what has other co
 * Joins across which it differs much hold less, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.
 
 With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
-within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.
+within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.  A stroke across colours adds pieces (spans.py).
 """
 import numpy as np
 
@@ -19,6 +19,7 @@ from ..model.gaussians import GaussianModel
 from ..rendering.filters import base_colours
 from ..util.errors import FastGSError
 from .joins import joins
+from .spans import spanned
 
 PULL, MOST_PULL = 0.3, 0.03
 """How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it, with MANY Gaussians; and at most.  By more, a
@@ -64,11 +65,12 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
     against = no is not None and bool(no.any())
-    rest = REST * (1 + OTHER * _other(model, yes)) if against else REST_ALONE
+    other = _other(model, yes) if against else np.zeros(len(model))
+    rest = REST * (1 + OTHER * other) if against else REST_ALONE
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
     i, j = found.ends.T
-    weight = (np.exp(-found.differ) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
+    weight = (np.exp(-found.drift - found.tint) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
     degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
     many = min(MANY / len(model), 1) ** 1.5
     pull = min(PULL * many, MOST_PULL) * degree * np.abs(side)
@@ -86,7 +88,8 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     ends = np.sort([above[i], above[j]], axis=0)
     cut = (np.bincount(ends[0], weight, far) - np.bincount(ends[1], weight, far)).cumsum()[:-1]
     inside = degree.sum() - np.bincount(above, degree, far).cumsum()[:-1]
-    return y > tried[np.argmin((cut / np.maximum(inside, LOOSE) + FREE) / shares)]
+    thing = y > tried[np.argmin((cut / np.maximum(inside, LOOSE) + FREE) / shares)]
+    return spanned(found, yes, thing, y > tried[0], other < 0.5)
 
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:
@@ -101,14 +104,8 @@ def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:
 def connected(model: GaussianModel, some: np.ndarray, reach: float = 3.0) -> np.ndarray:
     """Which Gaussians [N] bool lie together with some [N] bool: there is a way from one to the next, none of whose steps is longer than
     `reach` times the usual distance of neighbours, at any moment of the clip."""
+    from ..kernels.cpu.walk import pieces
+
     found = joins(model)
-    i, j = found.ends[found.near <= reach].T
-    out = some.copy()
-    while len(i):
-        edge = out[i] != out[j]
-        if not edge.any():
-            break
-        out[i[edge]] = out[j[edge]] = True
-        open_ = ~(out[i] & out[j])
-        i, j = i[open_], j[open_]
-    return out
+    piece = pieces(len(some), found.ends[found.near <= reach])
+    return np.isin(piece, piece[some])

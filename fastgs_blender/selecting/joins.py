@@ -25,7 +25,7 @@ of a thing drift apart, the more the farther it goes."""
 FIRM, FAR = 4.0, 5.0
 """The share is so many times the change that the firmest quarter of joins has, of those that travel FAR usual distances."""
 MOST_STRETCH, MOST_TINT = 12.0, 6.0
-"""What either can add to `differ`: a thing has several colours, but does not come apart."""
+"""The most of `drift` and of `tint`: a thing has several colours, but does not come apart."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,12 +34,14 @@ class Joins:
 
     ends    [E, 2] int32, each pair once
     near    [E] float32, their least distance, in units of the usual one of their neighbours
-    differ  [E] float32, how much they drift apart and differ in colour: 0 on, about 1 is unusual
+    drift   [E] float32, how much they drift apart: 0 on, about 1 is unusual
+    tint    [E] float32, the same of how much they differ in colour
     """
 
     ends: np.ndarray
     near: np.ndarray
-    differ: np.ndarray
+    drift: np.ndarray
+    tint: np.ndarray
 
 
 @kept
@@ -72,9 +74,9 @@ def joins(model: GaussianModel) -> Joins:
     usual /= np.maximum(weight, 1)
     unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
     colour = base_colours(model)
-    differ = (_unusual((high - low) / unit, STRETCH, MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
-              + _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT))
-    return Joins(np.stack(ends, 1).astype(np.int32), (low / unit).astype(np.float32), differ.astype(np.float32))
+    drift = _unusual((high - low) / unit, STRETCH, MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
+    tint = _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT)
+    return Joins(np.stack(ends, 1).astype(np.int32), *(each.astype(np.float32) for each in (low / unit, drift, tint)))
 
 
 def _drift(place: np.ndarray, alive: np.ndarray, ends: tuple, change: np.ndarray, unit: np.ndarray) -> np.ndarray:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The random walker's potential on a graph, by conjugate gradients."""
+"""On a graph: the random walker's potential, by conjugate gradients, and what hangs together."""
 from __future__ import annotations
 
 import numpy as np
@@ -49,3 +49,21 @@ def without_neighbours(first, other, pull, x, out):
         for e in range(first[i], first[i + 1]):
             total += pull[e] * x[other[e]]
         out[i] -= total
+
+
+@kernel
+def pieces(count, ends):
+    """For each of count nodes the first node [N] of its piece: of what the edges, ends [E, 2], join."""
+    first = np.arange(count)
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        while first[a] != a:
+            first[a] = first[first[a]]
+            a = first[a]
+        while first[b] != b:
+            first[b] = first[first[b]]
+            b = first[b]
+        first[max(a, b)] = min(a, b)
+    for a in range(count):
+        first[a] = first[first[a]]  # the first node of a piece comes before all others
+    return first

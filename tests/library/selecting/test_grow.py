@@ -13,8 +13,9 @@ from random_models import random_model
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu.walk import potential
 from fastgs_blender.selecting.grow import connected, grow
-from fastgs_blender.selecting.joins import joins
+from fastgs_blender.selecting.joins import Joins, joins
 from fastgs_blender.selecting.neighbours import nearest
+from fastgs_blender.selecting.spans import spanned
 
 
 def made(name, count=3000):
@@ -89,6 +90,42 @@ def test_what_goes_far_may_drift_apart_in_itself():
     off = 1 + 0.3 * np.random.default_rng(0).normal(size=(len(yes), 1, 1))
     model = dataclasses.replace(scene.model, motion=(scene.model.motion * off).astype(np.float32))
     assert np.mean(grow(model, yes, no) == scene.truth) > 0.98
+
+
+def test_a_stroke_across_colours_means_a_thing_of_several():
+    """From head to foot of a walker, whose arms have other colours and swing; along the torso alone, nothing of another colour is meant."""
+    scene = made("walker")
+    yes, no = scenes.strokes(scene.model, scene)
+    assert np.mean(grow(scene.model, yes, no) == scene.truth) > 0.99
+    torso = scene.label == scene.names.index("torso")
+    found = grow(scene.model, yes & torso, no)
+    assert found[torso].mean() > 0.99 and found[scene.label == scene.names.index("arm -1")].mean() < 0.01
+
+
+RED, BLUE, HEAD = range(10), range(10, 20), range(20, 24)
+
+
+def chain(parted=(), **changed) -> np.ndarray:
+    """What spanned() makes of a thing of 20 in a chain of 40, of which a join at 23 and those of `parted` move; changed: its arguments."""
+    rows = dict(yes=range(8, 12), thing=[*RED, *BLUE], may=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE]) | changed
+    first = np.arange(39, dtype=np.int32)
+    drift, tint = (np.where(np.isin(first, at), most, 0.0) for at, most in (((23, *parted), 12.0), ((9, 19), 6.0)))
+    found = Joins(np.stack([first, first + 1], 1), np.ones(39), drift, tint)
+    return spanned(found, **{name: np.isin(np.arange(40), list(those)) for name, those in rows.items()})
+
+
+@pytest.mark.parametrize("changed", [
+    dict(yes=range(6, 10)), dict(parted=[19]), dict(parted=[9]), dict(may=[*RED, *BLUE, *HEAD[1:]]), dict(thing=range(7, 13)),
+    dict(yes=[])], ids=["a stroke of one colour", "what moves", "a stroke over both", "the other side's", "what is large", "no stroke"])
+def test_what_hangs_on_a_thing_is_not_added(changed):
+    """But the head is, for a stroke across colours."""
+    assert np.flatnonzero(chain()).tolist() == [*RED, *BLUE, *HEAD]
+    assert np.flatnonzero(chain(**changed)).tolist() == [*changed.get("thing", [*RED, *BLUE])]
+
+
+def test_what_has_colours_of_the_stroke_is_found_first():
+    """The rest of the thing, though a piece of other colours behind it belongs to the other side."""
+    assert np.flatnonzero(chain(thing=range(16), may=[*RED, *BLUE, *HEAD[1:]])).tolist() == [*RED, *BLUE]
 
 
 def test_without_a_stroke_there_is_a_sentence():

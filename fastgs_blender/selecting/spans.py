@@ -1,0 +1,47 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What a stroke says by what it spans: one that goes from colour to colour means a thing of several colours.
+
+Two strokes alone do not say whether a cup belongs to its tray, or a head to its torso.  But a stroke over a torso and a thigh crosses a
+border of colours, and so do the borders to head and arms not end the thing.  One over a cup crosses none.  Motion stays a border: limbs
+keep a common point, where they hardly move against each other, and two things that pass do not.
+"""
+import numpy as np
+
+from .joins import MOST_TINT, Joins
+
+MOST = 0.85
+"""The share of a stroke's Gaussians that it means.  The others are its rim."""
+NEAR, STILL = 3.0, 1.0
+"""Up to this distance, in units of the usual one, and this change of it (`Joins.drift`) two Gaussians hang together."""
+ANOTHER = 0.5 * MOST_TINT
+"""The difference of colours (`Joins.tint`) from which on a stroke goes on to another colour."""
+SIZE = 0.5
+"""The largest piece that is added, as a share of the Gaussians of what it hangs on."""
+
+
+def spanned(found: Joins, yes: np.ndarray, thing: np.ndarray, may: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """A thing [N] bool, with the pieces of other colours that hang on it alone, if its stroke crosses colours.
+
+    yes   [N] bool, Gaussians of the stroke
+    may   [N] bool, what strokes leave open or call the thing; a piece with any other Gaussian in it is not added
+    like  [N] bool, what has a colour of the stroke: such pieces are found first, by the joins among these alone
+    """
+    from ..kernels.cpu.walk import pieces  # it brings numba, which enabling the add-on must not
+
+    i, j = found.ends.T
+    firm = (found.near <= NEAR) & (found.drift <= STILL)
+    stroke = np.flatnonzero(yes & may)
+
+    def one(joined: np.ndarray) -> bool:
+        return np.bincount(pieces(len(yes), found.ends[joined & may[i] & may[j]])[stroke]).max() >= MOST * len(stroke)
+
+    if not len(stroke) or one(firm & (found.tint <= ANOTHER)) or not one(firm):
+        return thing
+    for joined in firm & like[i] & like[j], firm:
+        piece = pieces(len(yes), found.ends[joined & ~thing[i] & ~thing[j]])
+        edge = joined & (thing[i] != thing[j])
+        hangs = np.zeros(len(yes), bool)
+        hangs[piece[np.where(thing[i], j, i)[edge]]] = True
+        hangs &= (np.bincount(piece, minlength=len(yes)) <= SIZE * thing.sum()) & (np.bincount(piece, ~may, len(yes)) == 0)
+        thing = thing | hangs[piece]
+    return thing
