@@ -29,6 +29,7 @@ from ..model.filmed_from import directions
 from ..model.framing import is_subject
 from ..model.gaussians import GaussianModel
 from ..model.slicing import positions_at
+from ..util.threads import product
 from .colour import scene_linear, straight
 from .instances import Instance
 from .layout import Layout
@@ -67,7 +68,7 @@ class CapturedLight:
 
     def unlit(self, normal: np.ndarray) -> np.ndarray:
         """Factors [M, 3] from captured to unlit linear colour for unit normals [M, 3] in the model's space."""
-        return np.minimum(np.exp(self.level - basis(normal) @ self.weights), MOST)
+        return np.minimum(np.exp(self.level - product(self.weights.T, basis(normal).T).T), MOST)
 
 
 def basis(normal: np.ndarray) -> np.ndarray:
