@@ -90,7 +90,7 @@ class PictureBackend(Protocol):
 
     def past_splats(self, instances: list[ViewedInstance], camera: Camera, points: np.ndarray, over: np.ndarray) -> Array:
         """Which share of the light from the camera's centre comes past the splats to points [3, P] float64 of the world: [P] float32; see
-        rendering/passing.py.  The window holds all of them that lie before the camera, but for a few pixels.
+        rendering/passing.py.  The window holds all of them that lie before the camera, but for a few pixels.  Called in several threads.
 
         over  [P] float64: how much nearer than the point along the view axis a splat must lie to count
         """

@@ -46,7 +46,7 @@ FAINT = 1e-3
 NUMBERS = 5
 """Numbers of a lamp (Taken.numbers)."""
 STEEP = 0.25
-"""Difference of shares around a pixel up to which its Gaussians' own shadows of a large lamp are sharp enough."""
+"""Difference of shares around a pixel up to which its Gaussians' own shadows of a large lamp are sharp enough; twice as much is not."""
 BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
 WIDEST = 8
