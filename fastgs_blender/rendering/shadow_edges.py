@@ -45,8 +45,6 @@ FAINT = 1e-3
 """Alpha up to which nothing is seen of a pixel."""
 NUMBERS = 5
 """Numbers of a lamp (Taken.numbers)."""
-STEEP = 0.25
-"""Difference of shares around a pixel up to which its Gaussians' own shadows of a large lamp are sharp enough; twice as much is not."""
 BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
 WIDEST = 8
@@ -153,13 +151,8 @@ class _Drawn:
                            np.zeros((len(shown.index), 3)))
         rgb, alpha, sums = self._sums(instances, eye, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
         numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
-        soft = np.zeros(lamps)
-        for lamp, level in zip(light.lamps, light.levels, strict=True):
-            soft[level] = max(soft[level], 1 - 1 / len(lamp.light.points))
-        asked = _asked(numbers[..., 3, :], alpha, BLOCK, STEEP * soft)
-        at = np.nonzero(asked)
+        at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
         one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
-        one *= asked[at]
         rows = np.flatnonzero(one > SHARP)
         if not len(rows):
             return
@@ -240,30 +233,16 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     return np.repeat([[0, 0, 0, 1, 1]], lamps, 1).repeat(len(shown.index), 0)
 
 
-def _asked(past: np.ndarray, alpha: np.ndarray, block: int, steep: np.ndarray) -> np.ndarray:
-    """Which pixels [h, w] ask, from 0 to 1, of sums of shares past meshes [h, w, L] and alpha: those in or beside a block of so many pixels
-    with an edge, where the shares around differ by more than `steep` [L], and wholly from twice as much on."""
-    (height, width), there = alpha.shape, (alpha > FAINT)[..., None]
+def _asked(past: np.ndarray, alpha: np.ndarray, block: int) -> np.ndarray:
+    """Which pixels [h, w] lie in or beside a block of so many pixels with an edge, of sums of shares past meshes [h, w, L] and alpha."""
+    (height, width), there = alpha.shape, alpha > FAINT
     rows, columns = -(-height // block), -(-width // block)
-    share = past / np.maximum(alpha, FAINT)[..., None]
-
-    def around(of: np.ufunc, values: np.ndarray, none: float) -> np.ndarray:
-        """The least, or the most, in each block and those beside it."""
-        whole = np.full((rows * block, columns * block, past.shape[2]), none, values.dtype)
-        np.copyto(whole[:height, :width], values, where=there)
-        found = of.reduce(of.reduce(whole.reshape(rows, block, columns * block, -1), 1).reshape(rows, columns, block, -1), 2)
-        found = np.pad(found, ((1, 1), (1, 1), (0, 0)), constant_values=none)
-        found = of.reduce([found[:-2], found[1:-1], found[2:]])
-        return of.reduce([found[:, :-2], found[:, 1:-1], found[:, 2:]])
-
-    steps = around(np.maximum, share, -np.inf) - around(np.minimum, share, np.inf)
-    asked = (np.clip(steps / np.maximum(steep, 1e-9) - 1, 0, 1) * around(np.logical_or, on_edge(share), False)).max(-1)
-    for size in (height, width):  # between the blocks' middles in a line, so that no block is seen
-        at = np.clip((np.arange(size) + 0.5) / block - 0.5, 0, len(asked) - 1)
-        low = at.astype(int)
-        high, share = np.minimum(low + 1, len(asked) - 1), (at - low)[:, None]
-        asked = (asked[low] * (1 - share) + asked[high] * share).T
-    return asked * there[..., 0]
+    blocks = np.zeros((rows * block, columns * block), bool)
+    blocks[:height, :width] = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
+    blocks = np.pad(blocks.reshape(rows, block, columns, block).any((1, 3)), 1)
+    blocks = blocks[:-2] | blocks[1:-1] | blocks[2:]
+    blocks = blocks[:, :-2] | blocks[:, 1:-1] | blocks[:, 2:]
+    return blocks.repeat(block, 0).repeat(block, 1)[:height, :width] & there
 
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:

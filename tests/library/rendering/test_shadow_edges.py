@@ -40,6 +40,13 @@ def test_an_edge_is_as_sharp_as_pixels(backend):
     assert np.array_equal(shaded, lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 0.3), backend=backend))
 
 
+def test_a_lamp_of_many_points_throws_thin_shadows():
+    """Thinner than the discs, whose own shadows hardly differ there."""
+    lamp = Lamp(Light.rectangle((0, 0, 2.0), (0.01, 0, 0), (0, 0.01, 0), 16), (3.0, 3.0, 3.0))
+    free, shaded = (lit(COARSE, [lamp], meshes=meshes) for meshes in (None, board(0, 0, 3.0, 0.05)))
+    assert light_of(shaded, free)[31:33, 31:33].max() < 0.1
+
+
 def test_a_shadow_over_everything_has_no_edge():
     assert lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 9.0)).max() < 1e-3
 
