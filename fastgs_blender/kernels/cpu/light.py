@@ -121,5 +121,6 @@ def mark(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, id
             y, low, high = max(north, math.ceil(my - ry)), max(west, math.ceil(mx - rx)), min(east, math.floor(mx + rx) + 1)
             while y < min(south, math.floor(my + ry) + 1) and not marks[i]:
                 for x in range(low, high):
-                    marks[i] |= trace[y - y0, x - 2 * x0 + right] >= k
+                    if trace[y - y0, x - 2 * x0 + right] >= k:
+                        marks[i] = True  # True alone is written: other tiles have this splat, too, and other threads these
                 y += 1
