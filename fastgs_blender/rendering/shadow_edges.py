@@ -92,16 +92,17 @@ def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, set
         return blended
     space = "srgb" if {each.model.colour_space for each in instances} == {"srgb"} else "linear"
     bright = [replace(each.taken.bright, taken=each.taken).viewed(camera) if each.taken else each for each in instances]
-    draw = partial(_Drawn, light=settings.light, lamps=len(shadows), backend=backend, by_pixel=settings.by_pixel, space=space)
+    kinds = NUMBERS if any(lamp is not None for _, lamp in shadows) else NUMBERS - 1
+    draw = partial(_Drawn, light=settings.light, lamps=len(shadows), kinds=kinds, backend=backend, by_pixel=settings.by_pixel, space=space)
     if not averaged or exposure is None:
         drawn = draw(*((bright, camera, holdout) if exposure is None else exposure.middle(bright, camera, holdout)))
         if not drawn.pixels:
             return blended
         at, sums, alpha = drawn.pixels, dict(blended.sums), blended.alpha[drawn.pixels][:, None]
         for level, pair in enumerate(shadows):
-            share = np.stack([drawn.past[:, level], drawn.past[:, level] * drawn.splats[:, level]])
-            for name, each, now in zip(("mesh_shadow", "lamp_shadow"), pair, share, strict=True):
+            for name, each in zip(("mesh_shadow", "lamp_shadow"), pair, strict=True):
                 if each is not None:
+                    now = drawn.past[:, level] * (1 if name == "mesh_shadow" else drawn.splats[:, level])
                     name = name + (f"_{level + 1}" if level else "")
                     sums[name] = each.copy()
                     sums[name][at] += drawn.one[:, None] * (alpha * now[:, None] - each[at])
@@ -134,23 +135,23 @@ class _Drawn:
     one     [P] whether each shows one surface, from 0 to 1
     light   [P, 3] its colour with sharp edges, in light
     past    [P, L] the share of each lamp's light that comes past the meshes, and
-    splats  [P, L] past the splats
+    splats  [P, L] past the splats, if `kinds` of a lamp's numbers, from the first on, have it
     """
 
     pixels: tuple[np.ndarray, ...] = ()
 
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
-                 backend: Any, by_pixel: bool, space: str):
+                 kinds: int, backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
         eye = _around(instances, camera)
         if eye is None:
             return
         self._eye = eye
-        of_lamps = Quantity(NUMBERS * lamps, lambda shown: _numbers(shown, lamps))
+        of_lamps = Quantity(kinds * lamps, lambda shown: _numbers(shown, lamps)[:, :kinds].reshape(-1, kinds * lamps))
         normals = Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
                            np.zeros((len(shown.index), 3)))
         rgb, alpha, sums = self._sums(instances, eye, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
-        numbers = sums["numbers"].reshape(*alpha.shape, NUMBERS, lamps)
+        numbers = sums["numbers"].reshape(*alpha.shape, kinds, lamps)
         at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
         one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
         rows = np.flatnonzero(one > SHARP)
@@ -163,7 +164,7 @@ class _Drawn:
         normal /= np.maximum(np.sqrt(np.einsum("pi,pi->p", normal, normal)), 1e-30)[:, None]
         past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
         self._at, self.pixels = at, (at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0])
-        self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, 4]
+        self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, kinds - 1]
         takes = (numbers[:, :3] * (1 - self.past)[:, None]).sum(2)
         self.light = scene_linear(rgb, alpha, space) * np.maximum(1 - takes, 0)
 
@@ -229,8 +230,8 @@ def _wide(shown: Shown) -> np.ndarray:
 def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     """The numbers of each Gaussian's lamps; of those that are not lit all light arrives, and nothing is to be taken."""
     if shown.instance.taken:
-        return shown.instance.taken.numbers[shown.index].reshape(-1, NUMBERS * lamps)
-    return np.repeat([[0, 0, 0, 1, 1]], lamps, 1).repeat(len(shown.index), 0)
+        return shown.instance.taken.numbers[shown.index]
+    return np.broadcast_to(np.array([0, 0, 0, 1, 1])[:, None], (len(shown.index), NUMBERS, lamps))
 
 
 def _asked(past: np.ndarray, alpha: np.ndarray, block: int) -> np.ndarray:
@@ -292,7 +293,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
             share = bright[k] * lamp.share(k, middle[:, side.rows], normal[:, side.rows])
             lit, each = np.flatnonzero(share), min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
             rows = side.rows[lit]
-            own = np.take(places[:, (k * each + np.arange(each)) % len(WITHIN)], rows, 2)
+            own = np.stack([np.take(places[:, (k * each + i) % len(WITHIN)], rows, 1) for i in range(each)], 1)
             return rows, share[lit], ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
 
         for rows, share, open_ in several(told, [(k, side) for side in sides for k in np.flatnonzero(bright)]):
