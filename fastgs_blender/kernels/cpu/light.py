@@ -122,5 +122,5 @@ def mark(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, id
             while y < min(south, math.floor(my + ry) + 1) and not marks[i]:
                 for x in range(low, high):
                     if trace[y - y0, x - 2 * x0 + right] >= k:
-                        marks[i] = True  # True alone is written: other tiles have this splat, too, and other threads these
+                        marks[i] = True  # never False, which could undo what another thread writes for another tile
                 y += 1
