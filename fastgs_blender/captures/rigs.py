@@ -94,7 +94,7 @@ def _longest(cameras: Sequence[RigCamera]) -> int:
 
 
 def _late(camera: RigCamera, options: Options) -> int:
-    return _whole(options.offsets.get(_name(camera.name), 0.0))
+    return _whole(options.offsets.get(printable(camera.name), 0.0))
 
 
 def _shared(cameras: Sequence[RigCamera], options: Options, chosen: range, start_frame: int = 0) -> tuple[range, list[str], list[str]]:
@@ -146,7 +146,7 @@ def from_entries(
     chosen = _chosen(frame_count, options.frames, path)
     step = chosen[1] - chosen[0] if len(chosen) > 1 else 1
     place = {frame: i for i, frame in enumerate(chosen)}
-    entries = [replace(entry, view=_name(entry.view)) for entry in entries]  # for messages, and for Blender
+    entries = [replace(entry, view=printable(entry.view)) for entry in entries]  # for messages, and for Blender
     entries, remarks = _by_the_clocks(entries, options.offsets)
     notes = [*notes, *remarks]
     if options.scale is None and scale < 1:
@@ -154,7 +154,7 @@ def from_entries(
     if options.frames is not None and frame_count < (options.frames.stop or 0):
         notes.append(f"the part asked for goes on behind the capture's last frame, {frame_count - 1}, and ends there")
     entries, lost = _readable([entry for entry in entries if entry.frame in place])
-    gaps = [(view, frame) for view, frame in gaps if frame + _whole(options.offsets.get(_name(view), 0.0)) in place]
+    gaps = [(view, frame) for view, frame in gaps if frame + _whole(options.offsets.get(printable(view), 0.0)) in place]
     faults = [*faults]
     if lost or gaps:
         missing, of = len(lost) + len(gaps), len(entries) + len(lost) + len(gaps)
@@ -170,7 +170,7 @@ def from_entries(
     if not entries:
         reason = f": {faults[0]}" if faults else ""
         raise FastGSError(f"{path}: there are no pictures of the frames {chosen[0]} to {chosen[-1]} in this capture{reason.rstrip('.')}.")
-    kept = _held_out(path, entries, map(_name, held_out), options.held_out)
+    kept = _held_out(path, entries, map(printable, held_out), options.held_out)
     times = _times(entries, chosen, options.frames is not None)
     cameras: dict = {}
     shots = []
@@ -207,11 +207,6 @@ def _names(gaps: Sequence[tuple[str, int]], most: int = 4) -> list[str]:
     """A clause for views of one moment that are not there."""
     names = [view for view, _ in gaps]
     return [f"there is no {', '.join(names[:most])}{' ...' if len(names) > most else ''}"] if names else []
-
-
-def _name(view: str) -> str:
-    """A view's name as it is shown, and asked for: printable, on one line."""
-    return printable(view)
 
 
 def _whole(offset: float) -> int:

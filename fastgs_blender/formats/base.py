@@ -32,6 +32,7 @@ class Format:
 
     name        as users know it
     extensions  of the files it writes, lower case, with the dot
+    magic       the first bytes of its files, where these tell
     reads       what file dialogs offer to read: extensions, lower case, with the dot, or whole names of files
     says_axes   whether the format, or each of its files, says which way is up
     antialiased whether it can say that the model is antialiased (Mip-Splatting)
@@ -42,6 +43,7 @@ class Format:
     name = ""
     extensions: tuple[str, ...] = ()
     reads: tuple[str, ...] = ()
+    magic = b""
     says_axes = False
     antialiased = False
     keeps_cameras = False
@@ -49,7 +51,7 @@ class Format:
 
     def sniff(self, head: bytes, path: Path) -> bool:
         """Whether the file is of this format, by its first bytes `head` and, where these do not tell, its header."""
-        raise NotImplementedError
+        return bool(self.magic) and head.startswith(self.magic)
 
     def load(self, path: Path) -> GaussianModel:
         """The file's model; arrays may hold anything, finite or not.  Raises FastGSError."""

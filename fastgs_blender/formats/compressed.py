@@ -127,7 +127,8 @@ def packed_segment(codes: dict[str, np.ndarray], steps: Steps, template: Gaussia
     order, data, blocks = columns.Order(), b"", []
     for name in columns_of(template):
         order.follow(None)
-        for k, column in enumerate(_flat(codes[name]).T):
+        rows = codes[name]
+        for k, column in enumerate(rows.reshape(len(rows), int(np.prod(rows.shape[1:], dtype=int))).T):
             part, block = columns.packed(f"{name}/{k}", column, order)
             data += part
             blocks.append(block.listed())
@@ -142,10 +143,6 @@ def contexts(name: str, codes: dict[str, np.ndarray], steps: Steps) -> dict[str,
         scale = scales(codes, steps)
         return {"grain": steps.grain(scale, codes["shape"]), "spread": spread(scale)}
     return {name: codes[name]} if name in CONTEXTS else {}
-
-
-def _flat(codes: np.ndarray) -> np.ndarray:
-    return codes.reshape(len(codes), int(np.prod(codes.shape[1:], dtype=int)))
 
 
 def _steps(stated: object, template: GaussianModel) -> Steps:

@@ -27,12 +27,13 @@ KINDS = ("basis", "rotation_basis", "temporal_kind", "appearance", "raster", "cl
 
 def describe(model: GaussianModel) -> dict:
     """The model's kinds and constants as JSON values; a decoder's weights are arrays and not among them."""
+    around = {key: value for key, value in asdict(model.surroundings).items() if value}  # only what is known
     return {
         "basis": basis_to_dict(model.basis), "rotation_basis": basis_to_dict(model.rotation_basis),
         "temporal": model.temporal_kind.name, "appearance": _described(model.appearance), "raster": asdict(model.raster),
         "clip": asdict(model.clip), "axes": model.axes, "colour_space": model.colour_space,
         "provenance": {str(k): str(v) for k, v in model.provenance.items()},
-    } | ({} if model.surroundings == Surroundings() else {"surroundings": _surroundings_described(model.surroundings)})
+    } | ({"surroundings": around} if around else {})
 
 
 def understand(values: dict) -> dict:
@@ -154,12 +155,6 @@ def _appearance(values: Any) -> Appearance:
         return Changing(appearance, _basis(values.get("basis")))
     return kind(**{key: _typed(values.get(key), getattr(kind, key), f"the appearance {name}'s {key}") for key in kind.recorded
                    if key in values or key not in kind.optional})
-
-
-def _surroundings_described(around: Surroundings) -> dict:
-    """Only what is known is written."""
-    values = asdict(around)
-    return {key: value for key, value in values.items() if value}
 
 
 def _surroundings(values: object) -> Surroundings:

@@ -37,11 +37,9 @@ UP = {1: "RUB", 2: "RFU", 4: "RDF"}
 
 class FourDGS(Format):
     name = "4dgs"
+    magic = wire.MAGIC
     says_axes = True
     extensions = reads = (".4dgs",)
-
-    def sniff(self, head: bytes, path: Path) -> bool:
-        return head.startswith(wire.MAGIC)
 
     def load(self, path: Path) -> GaussianModel:
         data = read_bytes(path, LARGEST)

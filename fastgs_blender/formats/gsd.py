@@ -45,10 +45,8 @@ class _Frame:
 
 class Gsd(SequenceFormat):
     name = "GSD sequence"
+    magic = MAGIC
     reads = (".gsd",)
-
-    def sniff(self, head: bytes, path: Path) -> bool:
-        return head.startswith(MAGIC)
 
     def open(self, path: Path, load: Loader) -> Source:
         header, frames = _layout(path)

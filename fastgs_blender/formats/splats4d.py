@@ -49,10 +49,8 @@ class _Span:
 
 class Splats4D(SequenceFormat):
     name = "splats4D"
+    magic = MAGIC
     reads = (".splat4d",)
-
-    def sniff(self, head: bytes, path: Path) -> bool:
-        return head.startswith(MAGIC)
 
     def open(self, path: Path, load: Loader) -> Source:
         film = _Film(path)

@@ -38,11 +38,9 @@ class Splatv(Format):
     """`.splatv` of splaTV."""
 
     name = "splaTV"
+    magic = MAGIC
     extensions = reads = (".splatv",)
     keeps_cameras = True
-
-    def sniff(self, head: bytes, path: Path) -> bool:
-        return head.startswith(MAGIC)
 
     def load(self, path: Path) -> GaussianModel:
         with open_file(path) as stream:

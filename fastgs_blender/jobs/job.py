@@ -5,7 +5,7 @@ Job files lie in the user's folder and status files in the runs' folders; other 
 """
 import re
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import dataclass, field, fields
 from pathlib import Path
 from typing import Any
 
@@ -108,11 +108,6 @@ def read_job(path: Path) -> Job:
         raise FastGSError(f"{path}: this is no training job (its {wrong} is not valid).")
     job.scene = {key: value for key, value in job.scene.items() if key in _SCENE and _SCENE[key](value)}
     return job
-
-
-def job_values(job: Job) -> dict:
-    """A job as JSON values; read_job() reads them back."""
-    return asdict(job)
 
 
 def read_status(path: Path) -> dict:

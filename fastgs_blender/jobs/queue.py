@@ -20,6 +20,7 @@ import sys
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -31,7 +32,7 @@ from ..util.reading import open_file
 from . import causes
 from .command import command_line
 from .environment import environment
-from .job import ENDED, LATEST, RUNNING, Job, State, job_values, read_job, read_status
+from .job import ENDED, LATEST, RUNNING, Job, State, read_job, read_status
 from .places import place_for
 
 log = logging.getLogger(__name__)
@@ -272,7 +273,7 @@ class Jobs:
     def _save(self, job: Job) -> None:
         try:
             with replacing([self._file(job.id)]) as (part,):
-                part.write_text(json.dumps(job_values(job), indent=1, allow_nan=False), "utf-8")
+                part.write_text(json.dumps(asdict(job), indent=1, allow_nan=False), "utf-8")
         except OSError as error:
             raise self._unwritable(error) from error
 

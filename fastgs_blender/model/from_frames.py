@@ -4,7 +4,6 @@
 Frames are read one after another and never held together: a fit's coefficients are weighted sums of the frames' values.
 """
 import warnings
-from collections.abc import Callable
 from typing import Any
 
 import numpy as np
@@ -26,11 +25,9 @@ SHADE = 0.02
 """Of colours' coefficients, likewise."""
 
 
-def one_model(sequence: Sequence, basis: str = "auto",
-              progress: Callable[[float], object] = lambda fraction: None) -> GaussianModel:
+def one_model(sequence: Sequence) -> GaussianModel:
     """The model that moves through the sequence's frames; one LossWarning says how well.
 
-    basis  of positions and colours, as fitting.motion_families() names it
     Raises FastGSError where two frames do not hold the same Gaussians in the same order.
     """
     count = len(sequence.at)
@@ -45,13 +42,12 @@ def one_model(sequence: Sequence, basis: str = "auto",
         chosen = model.take(probes)
         for name, values in probed.items():
             values.append(_values(chosen, name))
-        progress(0.5 * (i + 1) / count)
     seen = {name: np.stack(values) for name, values in probed.items()}
     seen["rotation"] = rotations.one_sign(seen["rotation"])
     size = float(np.median(np.exp(seen["scale"])))
-    moving = _fit(seen["position"], motion_families(basis, t), t, SIZE * size)
+    moving = _fit(seen["position"], motion_families("auto", t), t, SIZE * size)
     turning = _fit(seen["rotation"], rotation_families(t), t, TURN)
-    shading = _fit(seen["features"], motion_families(basis, t), t, SHADE)
+    shading = _fit(seen["features"], motion_families("auto", t), t, SHADE)
 
     first, last = sequence.frame(0), None
     sums: dict[str, np.ndarray] = {}
@@ -69,7 +65,6 @@ def one_model(sequence: Sequence, basis: str = "auto",
                 sums[name] = np.zeros((len(weights), *value.shape), np.float32)
             for total, weight in zip(sums[name], weights):
                 total += np.float32(weight) * value.astype(np.float32)
-        progress(0.5 + 0.5 * (i + 1) / count)
     odds = np.clip(sums["opacity"][0], 1e-7, 1 - 1e-7)
     appearance: Any = first.appearance
     features = sums["features"].transpose(1, 0, 2).reshape(len(first), -1)

@@ -62,7 +62,7 @@ class FrameStore:
         self.capture, self.budget = capture, int(budget)
         self.folder = Path(folder) if folder is not None else framefiles.default_folder(capture)
         self._held: OrderedDict[Path, np.ndarray] = OrderedDict()
-        self._held_bytes = 0
+        self.held_bytes = 0
         self._lock = threading.Lock()
         self._paths: WeakKeyDictionary[Shot, Path] = WeakKeyDictionary()
         self._bounded = folder is None
@@ -80,11 +80,6 @@ class FrameStore:
     def of(self, capture: Capture) -> FrameStore:
         """A store of the same pictures by another description of the capture, such as other cameras."""
         return FrameStore(capture, self.budget, None if self._bounded else self.folder)
-
-    @property
-    def memory_bytes(self) -> int:
-        """Bytes of pixels in memory now."""
-        return self._held_bytes
 
     def size(self, shot: Shot) -> tuple[int, int]:
         """Width and height of a shot's pixels."""
@@ -148,9 +143,9 @@ class FrameStore:
         with self._lock:
             if array.nbytes <= self.budget and path not in self._held:
                 self._held[path] = array
-                self._held_bytes += array.nbytes
-                while self._held_bytes > self.budget:
-                    self._held_bytes -= self._held.popitem(last=False)[1].nbytes
+                self.held_bytes += array.nbytes
+                while self.held_bytes > self.budget:
+                    self.held_bytes -= self._held.popitem(last=False)[1].nbytes
         return array
 
     def _decode_now(self, shot: Shot) -> np.ndarray:

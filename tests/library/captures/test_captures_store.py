@@ -69,8 +69,8 @@ def test_memory_stays_within_the_budget(capture, cache):
     for _ in range(2):
         for shot in capture.shots:
             store.pixels(shot)
-            assert store.memory_bytes <= 5 * BYTES
-    assert store.memory_bytes == 5 * BYTES
+            assert store.held_bytes <= 5 * BYTES
+    assert store.held_bytes == 5 * BYTES
     first = store.stored(capture.shots[-1])
     assert store.stored(capture.shots[-1]) is first  # held
     assert FrameStore(capture, budget=0, folder=cache).pixels(capture.shots[0]).rgb.shape == (HEIGHT, WIDTH, 3)
