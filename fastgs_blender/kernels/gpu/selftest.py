@@ -6,7 +6,7 @@ Each stage that pictures or training use (wgsl/) is run here: a test lets each o
 """
 import time
 from collections.abc import Callable
-from contextlib import AbstractContextManager, nullcontext
+from contextlib import nullcontext
 from types import SimpleNamespace
 
 import numpy as np
@@ -112,9 +112,12 @@ def _camera(width: int, height: int) -> Camera:
     return Camera(width, height, 0.73 * width, 0.78 * width, width / 2 - 1, height / 2 + 1, np.eye(4))
 
 
-def _small_buffers(backend: CPU) -> AbstractContextManager[None]:
-    """Within this, a GPU has to do with buffers of NARROW bytes."""
-    return backend.device.narrow(NARROW) if isinstance(backend, GPU) else nullcontext()
+def _in_small_buffers(work: Work) -> Work:
+    """The same work, for which a GPU has to do with buffers of NARROW bytes."""
+    def narrow(backend: CPU) -> dict[str, np.ndarray]:
+        with backend.device.narrow(NARROW) if isinstance(backend, GPU) else nullcontext():
+            return work(backend)
+    return narrow
 
 
 def _nothing(share: float) -> None:
@@ -146,17 +149,8 @@ def _picture(backend: CPU, camera: Camera, triangles: np.ndarray | None = None, 
     return {name: np.array(backend.numpy(array)) for name, array in found.items()}
 
 
-def _plain(backend: CPU) -> dict[str, np.ndarray]:
-    return _picture(backend, _camera(96, 64), copies=7)  # more Gaussians than are scanned at once
-
-
 def _behind_a_triangle(backend: CPU) -> dict[str, np.ndarray]:
     return _picture(backend, _camera(96, 64), TRIANGLE) | {"surface": np.array(backend.surface(TRIANGLE, _camera(96, 64)))}
-
-
-def _in_small_buffers(backend: CPU) -> dict[str, np.ndarray]:
-    with _small_buffers(backend):
-        return _picture(backend, STRIP)
 
 
 def _sorted_by_pixel_and_blurred(backend: CPU) -> dict[str, np.ndarray]:
@@ -198,19 +192,6 @@ def _gradients(backend: CPU, look: Appearance, camera: Camera, n: int = N) -> di
         name: np.array(backend.numpy(array)) for name, array in (found | vars(statistics)).items()}
 
 
-def _gradients_of_plain(backend: CPU) -> dict[str, np.ndarray]:
-    return _gradients(backend, SH(1), _camera(96, 64))
-
-
-def _gradients_of_decoded(backend: CPU) -> dict[str, np.ndarray]:
-    return _gradients(backend, _decoded(), _camera(96, 64))
-
-
-def _gradients_in_small_buffers(backend: CPU) -> dict[str, np.ndarray]:
-    with _small_buffers(backend):
-        return _gradients(backend, _decoded(), STRIP, 720)
-
-
 def _step(backend: CPU) -> dict[str, np.ndarray]:
     """What follows the gradients, each on random numbers: penalties, anchors, Adam, and MCMC's terms and random moves."""
     rng, model = np.random.default_rng(4), _model(SH(1))
@@ -246,8 +227,11 @@ def _moves(backend: CPU, model: GaussianModel) -> np.ndarray:
 
 
 WORKS: dict[str, tuple[Work, ...]] = {
-    "pictures": (_plain, _behind_a_triangle, _in_small_buffers, _sorted_by_pixel_and_blurred),
-    "gradients": (_gradients_of_plain, _gradients_of_decoded, _gradients_in_small_buffers),
+    "pictures": (lambda backend: _picture(backend, _camera(96, 64), copies=7),  # more Gaussians than are scanned at once
+                 _behind_a_triangle, _in_small_buffers(lambda backend: _picture(backend, STRIP)), _sorted_by_pixel_and_blurred),
+    "gradients": (lambda backend: _gradients(backend, SH(1), _camera(96, 64)),
+                  lambda backend: _gradients(backend, _decoded(), _camera(96, 64)),
+                  _in_small_buffers(lambda backend: _gradients(backend, _decoded(), STRIP, 720))),
     "steps": (_step,),
 }
 """The works by what they compute."""

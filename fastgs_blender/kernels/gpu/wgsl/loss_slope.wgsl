@@ -1,6 +1,6 @@
 // The gradient of the loss by each pixel's colour and, through the background and the weight of opacity, by its alpha.
 
-//include common
+//threads (job.strip.y + 2u) / 3u
 //include loss
 
 @group(0) @binding(0) var<uniform> job: Loss;
@@ -11,13 +11,8 @@
 @group(0) @binding(5) var<storage, read_write> by_rgb: array<f32>;
 @group(0) @binding(6) var<storage, read_write> by_alpha: array<f32>;
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let thread = place(group, groups) * 256u + lane;
-    if 3u * thread >= job.strip.y {
-        return;
-    }
-    let pixel = job.strip.x / 3u + thread;
+fn thread(own: u32) {
+    let pixel = job.strip.x / 3u + own;
     let n = job.strip.w;
     let y = i32(pixel / job.size.x);
     let stride = i32(3u * job.size.x);

@@ -1,6 +1,6 @@
 // Fill the unused end of the tile lists, whose length was guessed, with entries of a tile after the last one, and check the guess.
 
-//include common
+//threads max(job.x, 1u)
 
 @group(0) @binding(0) var<uniform> job: vec4u; // room for entries, tiles, splats
 @group(0) @binding(1) var<storage, read> runs: array<u32>; // entries of the splats before each one; the last is the number of all
@@ -11,9 +11,7 @@
 
 //include guessed
 
-@compute @workgroup_size(256)
-fn main(@builtin(workgroup_id) group: vec3u, @builtin(num_workgroups) groups: vec3u, @builtin(local_invocation_index) lane: u32) {
-    let e = place(group, groups) * 256u + lane;
+fn thread(e: u32) {
     let entries = runs[job.z];
     if e == 0u {
         check(entries, job.x);
