@@ -85,6 +85,15 @@ def draw_options(operator, *names: str):
     return layout
 
 
+def draw_column(layout, owner, *names: str, active: bool = True, align: bool = False):
+    """Draw properties of an owner in a column, which is returned; greyed out where it is not active."""
+    col = layout.column(align=align)
+    col.active = active
+    for name in names:
+        col.prop(owner, name)
+    return col
+
+
 def keep_text(context, name: str, content: str) -> str:
     """Keep a text in the .blend, in place of an earlier one of that name; text editors show it.  Returns its name."""
     text = bpy.data.texts.get(name) or bpy.data.texts.new(name)

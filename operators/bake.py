@@ -13,7 +13,7 @@ from ..scene.meshes.baking import bake_steps
 from ..scene.meshes.options import BakeOptions, bake_options
 from ..scene.meshes.surface import bakeable
 from ..scene.splats import splat_object
-from .action import OBJECT_MODE, Need, draw_options
+from .action import OBJECT_MODE, Need, draw_column, draw_options
 from .stepwise import Stepwise
 
 
@@ -48,21 +48,12 @@ class FASTGS_OT_bake(Stepwise, BakeOptions, bpy.types.Operator, ExportHelper):
 
     def draw(self, context):
         layout = draw_options(self)
-        col = layout.column(align=True)
-        col.prop(self, "frame_start")
-        col.prop(self, "frame_end")
-        col.prop(self, "samples_per_frame", text="Per Frame")
+        draw_column(layout, self, "frame_start", "frame_end", align=True).prop(self, "samples_per_frame", text="Per Frame")
         layout.prop(self, "count")
-        col = layout.column()
-        col.prop(self, "tolerance")
-        col.prop(self, "tail_tolerance")
-        col.prop(self, "basis")
-        col.prop(self, "max_order")
+        draw_column(layout, self, "tolerance", "tail_tolerance", "basis", "max_order")
         layout.prop(self, "lighting")
         if self.lighting == 'CYCLES':
-            col = layout.column(align=True)
-            col.prop(self, "light_samples")
-            col.prop(self, "light_frames")
+            draw_column(layout, self, "light_samples", "light_frames", align=True)
         layout.prop(self, "import_result")
         layout.prop(self, "hide_source")
 

@@ -15,7 +15,7 @@ from ..fastgs_blender.formats.web.long import compressed_clips, in_pieces
 from ..fastgs_blender.formats.web.page import Page
 from ..scene import objects, web_scene
 from ..scene.background import in_background, relayed
-from .action import draw_options
+from .action import draw_column, draw_options
 from .exporting import Exporting
 
 LEVELS = {'FINE': "fine", 'SMALL': "small"}
@@ -72,16 +72,10 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
 
     def draw(self, context):
         layout = draw_options(self, "title", "selected")
-        column = layout.column(align=True)
-        column.prop(self, "frame_start")
-        column.prop(self, "frame_end")
+        draw_column(layout, self, "frame_start", "frame_end", align=True)
         layout.prop(self, "loop")
-        row = layout.row()
-        row.active = context.scene.camera is not None
-        row.prop(self, "move")
-        row = layout.row()
-        row.active = web_scene.has_sound(context.scene)
-        row.prop(self, "sound")
+        draw_column(layout, self, "move", active=context.scene.camera is not None)
+        draw_column(layout, self, "sound", active=web_scene.has_sound(context.scene))
         layout.prop(self, "background")
         if self.background == 'COLOUR':
             layout.prop(self, "colour")

@@ -17,6 +17,7 @@ from ..fastgs_blender.model.chapters import Chapters
 from ..scene import objects, snapshot
 from ..scene.background import in_background, relayed
 from ..scene.splats import parting
+from .action import draw_column, draw_options
 from .exporting import Exporting
 
 SAMPLE = 200
@@ -91,17 +92,11 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
         return self.filepath != before
 
     def draw(self, context):
-        layout = self.layout
-        layout.use_property_split = True
-        layout.use_property_decorate = False
-        layout.prop(self, "content")
-        layout.prop(self, "moving_format" if self.content == 'MODEL' else "static_format")
+        layout = draw_options(self, "content", "moving_format" if self.content == 'MODEL' else "static_format")
         if self.content != 'MODEL':
             layout.prop(self, "selected")
         if self.content == 'RANGE':
-            col = layout.column(align=True)
-            col.prop(self, "frame_start")
-            col.prop(self, "frame_end")
+            draw_column(layout, self, "frame_start", "frame_end", align=True)
         self.draw_losses(context)
 
     def losses(self, context) -> list[str]:

@@ -5,6 +5,7 @@ from itertools import groupby
 import bpy
 
 from ..fastgs_blender.rendering.instances import LOOKS
+from ..operators.action import draw_column
 from ..scene import holdout, lamps, light_probe, objects, speeds, startup
 from ..scene.notices import draw_trouble
 from . import facts
@@ -19,15 +20,6 @@ def split(layout, decorate: bool = True):
     """The layout, with the names of properties beside them; decorate: with a dot that keys them."""
     layout.use_property_split, layout.use_property_decorate = True, decorate
     return layout
-
-
-def draw_column(layout, owner, *names: str, active: bool = True, align: bool = False):
-    """Draw properties of an owner in a column, which is returned; greyed out where it is not active."""
-    col = layout.column(align=align)
-    col.active = active
-    for name in names:
-        col.prop(owner, name)
-    return col
 
 
 def draw_rows(layout, rows):
@@ -86,6 +78,7 @@ class Sidebar:
     """A panel in the sidebar of the 3D view."""
 
     bl_space_type, bl_region_type, bl_category = 'VIEW_3D', 'UI', "FAST-GS"
+    bl_options = {'DEFAULT_CLOSED'}
 
 
 class _Splat:
@@ -157,9 +150,7 @@ class FASTGS_PT_object_trim(_OfTime, bpy.types.Panel):
 
     def draw(self, context):
         layout, settings = split(self.layout), context.object.fastgs
-        col = layout.column(align=True)
-        col.prop(settings, "trim_start")
-        col.prop(settings, "trim_end", text="End")
+        draw_column(layout, settings, "trim_start", align=True).prop(settings, "trim_end", text="End")
         col = layout.column()
         draw_column(col, settings, "offset", active=not settings.use_capture_frame)
         draw_column(col, settings, "fade", active='LOOP' in (settings.before, settings.after))
@@ -221,10 +212,7 @@ class FASTGS_PT_object_light(_Part, bpy.types.Panel):
     def draw(self, context):
         layout, scene = split(self.layout), context.scene.fastgs
         draw_column(layout, context.object.fastgs, *(name for name in LOOKS if LOOKS[name].group == "LIGHT"))
-        col = layout.column(align=True)
-        col.active = lamps.takes_light(context.object)
-        col.prop(scene, "shadow_samples")
-        col.prop(scene, "shadow_bias")
+        draw_column(layout, scene, "shadow_samples", "shadow_bias", active=lamps.takes_light(context.object), align=True)
         layout.prop(scene, "contact_distance")
         layout.operator("fastgs.add_relight", icon='NODE_COMPOSITING')
 

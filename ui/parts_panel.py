@@ -24,6 +24,7 @@ class FASTGS_MT_select(bpy.types.Menu):
 
 class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
     bl_label = "Select and Parts"
+    bl_options = set()
 
     @classmethod
     def poll(cls, context):
@@ -45,7 +46,6 @@ class FASTGS_PT_parts(Sidebar, bpy.types.Panel):
 
 class _Below(Sidebar):
     bl_parent_id = "FASTGS_PT_parts"
-    bl_options = {'DEFAULT_CLOSED'}
 
 
 class FASTGS_PT_parts_erase(_Below, bpy.types.Panel):

@@ -13,7 +13,6 @@ from .render_panels import draw_unshown
 
 class FASTGS_PT_viewport(Sidebar, bpy.types.Panel):
     bl_label = "Splats in Viewports"
-    bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod
     def poll(cls, context):
@@ -55,7 +54,6 @@ class FASTGS_PT_viewport_pass(bpy.types.Panel):
 
 class FASTGS_PT_pictures(Sidebar, bpy.types.Panel):
     bl_label = "Pictures on Cameras"
-    bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod
     def poll(cls, context):
@@ -71,7 +69,6 @@ class FASTGS_PT_pictures(Sidebar, bpy.types.Panel):
 
 class FASTGS_PT_camera(Sidebar, bpy.types.Panel):
     bl_label = "Camera"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         layout = self.layout
@@ -89,7 +86,6 @@ class FASTGS_PT_camera(Sidebar, bpy.types.Panel):
 
 class FASTGS_PT_capture(Sidebar, bpy.types.Panel):
     bl_label = "Capture"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         layout = self.layout

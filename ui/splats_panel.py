@@ -7,6 +7,7 @@ from .object_panels import Sidebar, draw_as_filmed, draw_error, is_ours
 
 class FASTGS_PT_splats(Sidebar, bpy.types.Panel):
     bl_label = "Splats"
+    bl_options = set()
 
     def draw(self, context):
         layout = self.layout

@@ -104,7 +104,6 @@ def draw_verdict(layout, context, capture):
 
 class FASTGS_PT_training(Sidebar, bpy.types.Panel):
     bl_label = "Train"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
@@ -135,7 +134,6 @@ class FASTGS_PT_training(Sidebar, bpy.types.Panel):
 class FASTGS_PT_training_filming(Sidebar, bpy.types.Panel):
     bl_label = "Filming"
     bl_parent_id = "FASTGS_PT_training"
-    bl_options = {'DEFAULT_CLOSED'}
 
     @classmethod
     def poll(cls, context):
@@ -150,7 +148,6 @@ class FASTGS_PT_training_filming(Sidebar, bpy.types.Panel):
 class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
     bl_label = "Options"
     bl_parent_id = "FASTGS_PT_training"
-    bl_options = {'DEFAULT_CLOSED'}
 
     def draw(self, context):
         layout, settings = split(self.layout, decorate=False), context.scene.fastgs.training
@@ -161,6 +158,7 @@ class FASTGS_PT_training_options(Sidebar, bpy.types.Panel):
 class FASTGS_PT_training_runs(Sidebar, bpy.types.Panel):  # last of all: nothing below it lies over a run while panels move apart
     bl_label = "Runs"
     bl_parent_id = "FASTGS_PT_training"
+    bl_options = set()
 
     def draw(self, context):
         layout = self.layout
