@@ -22,6 +22,15 @@ def triangles(mesh: bpy.types.Mesh) -> np.ndarray:
     return read(mesh.loop_triangles, "vertices", np.int32, 3)
 
 
+def fill(mesh: bpy.types.Mesh, places: np.ndarray, faces: np.ndarray) -> None:
+    """Give an empty mesh vertices [V, 3] and faces [F, k], of k corners each; its edges are made by its update()."""
+    for collection, count in ((mesh.vertices, len(places)), (mesh.loops, faces.size), (mesh.polygons, len(faces))):
+        collection.add(count)
+    mesh.vertices.foreach_set("co", np.ascontiguousarray(places, np.float32).ravel())
+    mesh.loops.foreach_set("vertex_index", np.ascontiguousarray(faces, np.int32).ravel())
+    mesh.polygons.foreach_set("loop_start", np.arange(0, faces.size, faces.shape[1], dtype=np.int32))
+
+
 def pixels(image: bpy.types.Image) -> np.ndarray:
     """The numbers of an image [h, w, channels] float32, the bottom row first."""
     width, height = image.size

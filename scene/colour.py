@@ -24,6 +24,12 @@ def rec709_to_working() -> np.ndarray:
     return np.array(columns, np.float32).T
 
 
+def linear(rgb: np.ndarray, colour_space: str) -> np.ndarray:
+    """Colours [M, 3] of a model's colour space as linear Rec.709, 0 or more."""
+    rgb = np.clip(np.nan_to_num(rgb), 0, 100)
+    return rgb if colour_space == "linear" else colour.srgb_to_linear(rgb)
+
+
 def blackbody(kelvin: float) -> np.ndarray:
     """Scene-linear colour [3] of a body that glows, of the luminance 1, within 3 % of Cycles' from 2000 K on.
 

@@ -16,6 +16,7 @@ import numpy as np
 
 from ..fastgs_blender.util.picture_files import write_exr
 from . import sky
+from .node_trees import Builder
 
 NAME = "Light Probe"
 SOURCE, FACTS = "fastgs_probe_of", "fastgs_probe_facts"
@@ -173,51 +174,33 @@ def _copied(world, name: str):
         tree.nodes["Background"].inputs["Strength"].default_value = 0.0
     image = bpy.data.images.new(name, 1, 1, float_buffer=True)
     image.source, image.colorspace_settings.name = 'SEQUENCE', 'Non-Color'
-    light, cover = _panorama_nodes(tree, image)
+    b = Builder(tree)
+    light, cover = _panorama_nodes(b, image)
     for output in [node for node in tree.nodes if node.bl_idname == 'ShaderNodeOutputWorld']:
         surface = output.inputs["Surface"]
         own = surface.links[0].from_socket if surface.is_linked else None
-        mix, both = tree.nodes.new('ShaderNodeMixShader'), tree.nodes.new('ShaderNodeAddShader')
-        tree.links.new(cover, mix.inputs[0])
-        if own is not None:
-            tree.links.new(own, mix.inputs[1])
-        tree.links.new(mix.outputs[0], both.inputs[0])
-        tree.links.new(light, both.inputs[1])
-        tree.links.new(both.outputs[0], surface)
+        mix = b.first('ShaderNodeMixShader', (cover,) if own is None else (cover, own))
+        tree.links.new(b.first('ShaderNodeAddShader', (mix, light)), surface)
     return made
 
 
-def _panorama_nodes(tree, image):
+def _panorama_nodes(b: Builder, image):
     """(the shader of the panorama's light, how much of the world behind it covers), both nothing for what the camera sees.
 
     It sees the background through glass too, so that splats which lie behind glass in the picture do not shine through it twice.
     """
-    def math(operation, *values):
-        node = tree.nodes.new('ShaderNodeMath')
-        node.operation = operation
-        for socket, value in zip(node.inputs, values):
-            if isinstance(value, bpy.types.NodeSocket):
-                tree.links.new(value, socket)
-            else:
-                socket.default_value = value
-        return node.outputs[0]
-
     def picture(name):
-        node = tree.nodes.new('ShaderNodeTexEnvironment')
-        node.name = node.label = name
-        node.image, user = image, node.image_user
+        node = b.node('ShaderNodeTexEnvironment', name=name, label=name, image=image)
+        user = node.image_user
         user.frame_start, user.frame_duration, user.use_auto_refresh = FIRST, 1, True
         return node.outputs["Color"]
 
     colours, cover = (picture(name) for name in NODES)
-    path = tree.nodes.new('ShaderNodeLightPath').outputs
-    bounced = math('ADD', path["Diffuse Depth"], path["Glossy Depth"])
-    through = math('MULTIPLY', path["Is Transmission Ray"], math('LESS_THAN', bounced, 0.5))
-    lit = math('SUBTRACT', 1.0, math('MAXIMUM', path["Is Camera Ray"], through))
-    light = tree.nodes.new('ShaderNodeBackground')
-    tree.links.new(colours, light.inputs["Color"])
-    tree.links.new(lit, light.inputs["Strength"])
-    return light.outputs[0], math('MULTIPLY', cover, lit)
+    path = b.node('ShaderNodeLightPath').outputs
+    bounced = b.math('ADD', path["Diffuse Depth"], path["Glossy Depth"])
+    through = b.math('MULTIPLY', path["Is Transmission Ray"], b.math('LESS_THAN', bounced, 0.5))
+    lit = b.math('SUBTRACT', 1.0, b.math('MAXIMUM', path["Is Camera Ray"], through))
+    return b.first('ShaderNodeBackground', {"Color": colours, "Strength": lit}), b.math('MULTIPLY', cover, lit)
 
 
 def _stem(name: str) -> str:

@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Writes node trees as expressions, with the nodes that all supported releases of Blender have."""
+from functools import cached_property
+
 import bpy
 
 SPACING = 180, 260
@@ -16,13 +18,16 @@ def find_socket(sockets, key):
 
 
 class Builder:
-    """Adds nodes to an empty tree.  A value is an output socket, or a constant for an input's default."""
+    """Adds nodes to a tree.  A value is an output socket, or a constant for an input's default."""
 
     def __init__(self, tree: bpy.types.NodeTree):
         self.tree, self._count = tree, 0
         self._math = MATH[tree.bl_idname == 'CompositorNodeTree' and bpy.app.version < (5, 0, 0)]
-        self.given = self.node('NodeGroupInput').outputs
+
+    @cached_property
+    def given(self):
         """The inputs of the group, by name."""
+        return self.node('NodeGroupInput').outputs
 
     def node(self, kind: str, inputs: dict | tuple = (), **settings) -> bpy.types.Node:
         """A node with these settings and inputs, by name or in their order."""

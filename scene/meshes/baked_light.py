@@ -117,18 +117,12 @@ def _measure(context, points, normals, spacing, light_samples) -> np.ndarray:
 
 def _fill(mesh, points, normals, size):
     """One small triangle for each point, lifted off the surface."""
-    count = len(points)
     x = np.cross(normals, np.where(np.abs(normals[:, 2:]) < 0.9, [0, 0, 1.0], [1.0, 0, 0]))
     x /= np.maximum(np.linalg.norm(x, axis=1, keepdims=True), 1e-12)
     y = np.cross(normals, x)
     angles = np.arange(3) * 2 * np.pi / 3
     vertices = (points + size * normals)[:, None] + size * (np.cos(angles)[:, None] * x[:, None] + np.sin(angles)[:, None] * y[:, None])
-    mesh.vertices.add(3 * count)
-    mesh.vertices.foreach_set("co", vertices.astype(np.float32).ravel())
-    mesh.loops.add(3 * count)
-    mesh.loops.foreach_set("vertex_index", np.arange(3 * count, dtype=np.int32))
-    mesh.polygons.add(count)
-    mesh.polygons.foreach_set("loop_start", np.arange(0, 3 * count, 3, dtype=np.int32))
+    arrays.fill(mesh, vertices.reshape(-1, 3), np.arange(3 * len(points)).reshape(-1, 3))
     mesh.update()
     mesh.color_attributes.active_color = mesh.color_attributes.new(NAME, 'FLOAT_COLOR', 'CORNER')
 

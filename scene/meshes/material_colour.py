@@ -135,8 +135,7 @@ def _material(material, places: Places, notes: dict) -> np.ndarray:
 
 
 def _link(socket):
-    link = next((x for x in socket.links if x.is_valid and not x.is_muted), None) if socket.is_linked else None
-    return link
+    return next((x for x in socket.links if x.is_valid and not x.is_muted), None) if socket.is_linked else None
 
 
 class _Reader:
@@ -210,8 +209,8 @@ class _Reader:
         """Follow a reroute, or go into or out of a node group."""
         node, socket = link.from_node, link.from_socket
         if node.type == 'REROUTE':
-            inner = node.inputs[0]
-        elif node.type == 'GROUP':
+            return self._follow(node.inputs[0], read, unlinked)
+        if node.type == 'GROUP':
             inside = node.node_tree and next((n for n in node.node_tree.nodes if n.type == 'GROUP_OUTPUT' and n.is_active_output), None)
             if not inside:
                 raise Unreadable(f'node "{node.name}"')
@@ -220,13 +219,11 @@ class _Reader:
                 return self._follow(_by_identifier(inside.inputs, socket), read, unlinked)
             finally:
                 self._groups.pop()
-        else:
-            group = self._groups.pop()
-            try:
-                return self._follow(_by_identifier(group.inputs, socket), read, unlinked)
-            finally:
-                self._groups.append(group)
-        return self._follow(inner, read, unlinked)
+        group = self._groups.pop()
+        try:
+            return self._follow(_by_identifier(group.inputs, socket), read, unlinked)
+        finally:
+            self._groups.append(group)
 
     def _follow(self, socket, read, unlinked):
         link = _link(socket)

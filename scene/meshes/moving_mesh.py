@@ -13,13 +13,12 @@ from bpy.app.handlers import persistent
 
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import positions_at, sigmoid
-from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.rendering.crops import crop_share
 from ...fastgs_blender.surfaces.making import MovingMesh
 from ...fastgs_blender.util.errors import FastGSError
 from .. import arrays, model_space, objects, snapshot
 from ..cameras.keys import curve_of, driver_of
-from ..colour import rec709_to_working
+from ..colour import linear, rec709_to_working
 from ..splats.proxy_nodes import COLOUR, modifier_of, shining_material
 from ..time import clip_frame
 
@@ -120,17 +119,10 @@ def follow(scene, depsgraph=None) -> None:
 def _mesh(name: str, moving: MovingMesh, place: np.ndarray, colour_space: str) -> bpy.types.Mesh:
     """A mesh with shape keys, in the object's space."""
     mesh, count = bpy.data.meshes.new(name), len(moving.rest)
-    mesh.vertices.add(count)
-    mesh.loops.add(moving.quads.size)
-    mesh.polygons.add(len(moving.quads))
-    rest = model_space.mapped(moving.rest, place)
-    mesh.vertices.foreach_set("co", rest.astype(np.float32).ravel())
-    mesh.loops.foreach_set("vertex_index", moving.quads.astype(np.int32).ravel())
-    mesh.polygons.foreach_set("loop_start", np.arange(0, moving.quads.size, 4, dtype=np.int32))
+    arrays.fill(mesh, model_space.mapped(moving.rest, place), moving.quads)
     mesh.update(calc_edges=True)
     mesh.shade_smooth()
-    rgb = np.clip(moving.colours.astype(np.float64), 0, 100)
-    light = (rgb if colour_space == "linear" else srgb_to_linear(rgb)) @ rec709_to_working().T
+    light = linear(moving.colours.astype(np.float64), colour_space) @ rec709_to_working().T
     colour = mesh.color_attributes.new(COLOUR, 'FLOAT_COLOR', 'POINT')
     colour.data.foreach_set("color", np.c_[light, np.ones(count)].astype(np.float32).ravel())
     mesh.color_attributes.active_color = colour

@@ -14,11 +14,10 @@ from ...fastgs_blender.formats.scenes import as_seen
 from ...fastgs_blender.model.appearance import SH_C0
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.slicing import sigmoid
-from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.util import rotations
 from ...fastgs_blender.util.errors import FastGSError
-from .. import model_space, objects, snapshot
-from ..colour import rec709_to_working
+from .. import arrays, model_space, objects, snapshot
+from ..colour import linear, rec709_to_working
 from . import proxy_nodes
 from .proxy_nodes import COLOUR
 
@@ -233,12 +232,7 @@ def _write_discs(mesh, model: GaussianModel | None):
     axes = axes * (_edge(model)[:, None] * np.exp(np.take_along_axis(model.scale, order, 1)))[:, None, :]
     turn = 2 * np.pi * np.arange(CORNERS) / CORNERS
     corners = model.position[:, None] + np.einsum("nik,ck->nci", axes, np.stack([np.cos(turn), np.sin(turn)], 1))
-    mesh.vertices.add(count * CORNERS)
-    mesh.loops.add(count * CORNERS)
-    mesh.polygons.add(count)
-    mesh.vertices.foreach_set("co", np.ascontiguousarray(corners, np.float32).ravel())
-    mesh.loops.foreach_set("vertex_index", np.arange(count * CORNERS, dtype=np.int32))
-    mesh.polygons.foreach_set("loop_start", np.arange(0, count * CORNERS, CORNERS, dtype=np.int32))
+    arrays.fill(mesh, corners.reshape(-1, 3), np.arange(count * CORNERS).reshape(-1, CORNERS))
     colour = np.concatenate([_light(model), np.ones((count, 1))], 1)
     _put(mesh, COLOUR, 'FLOAT_COLOR', np.repeat(colour, CORNERS, 0))
     mesh.update(calc_edges=True)
@@ -250,8 +244,7 @@ def _edge(model) -> np.ndarray:
 
 def _light(model) -> np.ndarray:
     """Scene-linear colours [N, 3], 0 or more, of the Gaussians seen from no particular side."""
-    rgb = np.clip(0.5 + SH_C0 * model.features[:, :3].astype(np.float64), 0, 100)
-    return (rgb if model.colour_space == "linear" else srgb_to_linear(rgb)) @ rec709_to_working().T
+    return linear(0.5 + SH_C0 * model.features[:, :3].astype(np.float64), model.colour_space) @ rec709_to_working().T
 
 
 def _material() -> bpy.types.Material:

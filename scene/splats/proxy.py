@@ -14,9 +14,9 @@ import numpy as np
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.rendering.colour import linear_to_srgb
 from .. import model_space, point_edits
-from ..colour import rec709_to_working
+from ..colour import linear, rec709_to_working
 from .proxy_nodes import COLOUR, GAUSSIAN, LARGER, LEVELS, NONE, RADIUS, SHADE, give_modifier
-from .proxy_points import GOLDEN, LIMIT, Points, choose, linear_colour
+from .proxy_points import GOLDEN, LIMIT, Points, choose
 
 __all__ = ["EVERY", "LIMIT", "fill", "limit_of", "new_mesh", "prepare", "show_in_all_engines"]
 
@@ -74,7 +74,7 @@ def _every(source: Source) -> Points:
     now = point_edits.state(model, chosen.t)
     radius = np.full(len(model), NONE, np.float32)
     radius[chosen.index] = chosen.radius
-    return replace(chosen, index=np.arange(len(model)), position=now.position, colour=linear_colour(now.colour, model), radius=radius)
+    return replace(chosen, index=np.arange(len(model)), position=now.position, colour=linear(now.colour, model.colour_space), radius=radius)
 
 
 def _write(mesh, points: Points, count: int):

@@ -115,10 +115,8 @@ def shining_material(name: str) -> bpy.types.Material:
     material = bpy.data.materials.new(name)
     if material.node_tree is None:  # Blender 5.0 and later make one by themselves
         material.use_nodes = True
-    nodes, links = material.node_tree.nodes, material.node_tree.links
-    nodes.clear()
-    colour, out = nodes.new('ShaderNodeAttribute'), nodes.new('ShaderNodeOutputMaterial')
-    colour.attribute_name = COLOUR
-    out.location = 200, 0
-    links.new(colour.outputs["Color"], out.inputs["Surface"])  # a colour as a surface is one that shines
+    material.node_tree.nodes.clear()
+    b = Builder(material.node_tree)
+    colour = b.node('ShaderNodeAttribute', attribute_name=COLOUR).outputs["Color"]
+    b.node('ShaderNodeOutputMaterial', {"Surface": colour})  # a colour as a surface is one that shines
     return material

@@ -14,10 +14,10 @@ from ...fastgs_blender.model.framing import focus_sphere, in_ball, inside_backdr
 from ...fastgs_blender.model.gaussians import GaussianModel
 from ...fastgs_blender.model.sequence import Source
 from ...fastgs_blender.model.slicing import Slice, sigmoid, slice_model
-from ...fastgs_blender.rendering.colour import srgb_to_linear
 from ...fastgs_blender.rendering.instances import ObjectSettings
 from ...fastgs_blender.rendering.looks import Look, graded, look_numbers, size_factor
 from ...fastgs_blender.util import rotations
+from ..colour import linear
 
 LIMIT = 20_000
 """The most points of a proxy."""
@@ -243,10 +243,4 @@ def _fair_order(position, kind, importance, box, limit: int) -> np.ndarray:
 def _colour(s: Slice, model: GaussianModel, look: np.ndarray | None = None) -> np.ndarray:
     """Linear colour [M, 3] from no particular side: of SH the constant term, of features the base without the decoder's rest."""
     rgb = model.appearance.plain_colours(s.features)
-    return linear_colour(rgb if look is None else graded(np.clip(np.nan_to_num(rgb), 0, 100), look), model)
-
-
-def linear_colour(colour: np.ndarray, model: GaussianModel) -> np.ndarray:
-    """Colours [M, 3] of a model's colour space as linear ones, 0 or more."""
-    rgb = np.clip(np.nan_to_num(colour), 0, 100)
-    return rgb if model.colour_space == "linear" else srgb_to_linear(rgb)
+    return linear(rgb if look is None else graded(np.clip(np.nan_to_num(rgb), 0, 100), look), model.colour_space)
