@@ -23,7 +23,7 @@ from ...model.temporal import Radial
 from ...rendering.api import render
 from ...training.core.settings import Settings
 from ...util.errors import FastGSError
-from ...util.rotations import to_matrices
+from ...util.rotations import one_sign, to_matrices
 from ..core.model import empty_model, motion_basis
 from ..core.schedule import POINTS, generator
 from .dense import picture, spread
@@ -233,9 +233,7 @@ def _moments(capture: Capture) -> np.ndarray:
 
 def _turns(slices: Sequence[Slice]) -> np.ndarray:
     """Unit quaternions [S, N, 4] of slices, each of the sign that is nearer to the one before."""
-    turns = np.stack([now.rotation for now in slices])
-    flips = np.r_[np.zeros((1, turns.shape[1])), (turns[1:] * turns[:-1]).sum(-1) < 0]
-    return turns * np.where(np.cumsum(flips, axis=0) % 2, -1.0, 1.0)[..., None]
+    return one_sign(np.stack([now.rotation for now in slices]))
 
 
 def _angles(quaternions: np.ndarray, turns: np.ndarray) -> np.ndarray:
