@@ -12,6 +12,7 @@ import numpy as np
 
 from ..model.appearance import SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
+from ..util.curve import hilbert_order
 from ..util.errors import FastGSError
 from ..util.reading import damaged_if
 from . import ply
@@ -25,7 +26,6 @@ from .static import (
     from_channels,
     largest_and_rest,
     logits,
-    morton_order,
     opacity_bytes,
     read_whole,
     with_largest,
@@ -89,7 +89,7 @@ class CompressedPly(StaticFormat):
         return model, lost
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        model = model.take(morton_order(model.position))
+        model = model.take(hilbert_order(model.position))
         n, count = len(model), -(-len(model) // CHUNK)
         bounds, vertex = np.zeros((count, 18), "<f4"), np.zeros((n, 4), "<u4")
         parts = []

@@ -15,6 +15,7 @@ import numpy as np
 
 from ..model.appearance import SH
 from ..model.gaussians import GaussianModel, Raster
+from ..util.curve import hilbert_order
 from ..util.errors import FastGSError, LossWarning
 from . import pixel_tables as tables
 from .base import generator
@@ -25,7 +26,6 @@ from .static import (
     StaticFormat,
     largest_and_rest,
     logits,
-    morton_order,
     opacity_bytes,
     plausible_count,
     read_whole,
@@ -66,7 +66,7 @@ class Sog(StaticFormat):
         return model, lost
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
-        model = model.take(morton_order(model.position))
+        model = model.take(hilbert_order(model.position))
         meta, pictures = _encoded(model)
         with zipfile.ZipFile(targets[-1], "w", zipfile.ZIP_STORED) as archive:
             for name, content in [*pictures.items(), ("meta.json", json.dumps(meta, allow_nan=False).encode("ascii"))]:

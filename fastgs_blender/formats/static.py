@@ -21,8 +21,6 @@ FEWEST_BYTES = 1 / 32
 """Bytes that a Gaussian takes at least in a packed file: a header that claims more Gaussians is a lie or a bomb."""
 SMALL = 1 << 16
 """So many Gaussians may be in a file of any length."""
-SPREAD = ((32, 0x1F00000000FFFF), (16, 0x1F0000FF0000FF), (8, 0x100F00F00F00F00F), (4, 0x10C30C30C30C30C3), (2, 0x1249249249249249))
-"""Steps that put two zeros between any two of 21 bits."""
 
 
 class StaticFormat(Format):
@@ -143,16 +141,3 @@ def by_channel(features: np.ndarray) -> np.ndarray:
 def from_channels(base: np.ndarray, rest: np.ndarray) -> np.ndarray:
     """features [N, 3 B] of the coefficients of degree 0 [N, 3] and others [N, 3, B - 1] (channel by channel)."""
     return np.concatenate([base, rest.transpose(0, 2, 1).reshape(len(base), 3 * rest.shape[2])], 1)
-
-
-def morton_order(position: np.ndarray) -> np.ndarray:
-    """Indices [N] that put positions [N, 3] along a curve through space (Morton's), 21 bits an axis."""
-    if not len(position):
-        return np.zeros(0, np.intp)
-    low, high = position.min(0).astype(np.float64), position.max(0)
-    step = (2**21 - 1) / np.maximum(high - low, 1e-30)
-    cell = ((position - low) * step).astype(np.uint64)
-    for shift, mask in SPREAD:
-        cell = (cell | (cell << np.uint64(shift))) & np.uint64(mask)
-    code = cell[:, 0] | (cell[:, 1] << np.uint64(1)) | (cell[:, 2] << np.uint64(2))
-    return np.argsort(code, kind="stable")

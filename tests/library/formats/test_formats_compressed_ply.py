@@ -8,6 +8,7 @@ import pytest
 
 import fastgs_blender as fg
 from fastgs_blender.formats import identify
+from fastgs_blender.util.curve import hilbert_order
 
 pytestmark = pytest.mark.filterwarnings("error")
 C0 = 0.28209479177387814
@@ -104,7 +105,7 @@ def test_round_trip(rng, make_model, tmp_path, n, degree):
     if not n:
         return
     a, b = fg.slice_model(model, 0, cull=False), fg.slice_model(back, 0, cull=False)
-    twin = np.linalg.norm(a.position[:, None] - b.position[None], axis=2).argmin(0) if n < 300 else order(model.position)
+    twin = np.linalg.norm(a.position[:, None] - b.position[None], axis=2).argmin(0) if n < 300 else hilbert_order(model.position)
     extent = np.ptp(a.position, axis=0) / 1023 / 2 + 1e-6
     assert (np.abs(a.position[twin] - b.position) <= extent).all()
     spread = np.ptp(model.scale, axis=0) / 1023 / 2 + 1e-5
@@ -114,14 +115,6 @@ def test_round_trip(rng, make_model, tmp_path, n, degree):
     assert (np.abs(a.features[twin, :3] - b.features[:, :3]) <= colour).all()
     np.testing.assert_allclose(b.features[:, 3:], a.features[twin, 3:], atol=1 / 64 + 1e-6)
     assert np.abs((a.rotation[twin] * b.rotation).sum(1)).min() > 1 - 3e-6
-
-
-def order(position) -> np.ndarray:
-    """The order along Morton's curve, bit by bit."""
-    low, high = position.min(0).astype(float), position.max(0)
-    cells = ((position - low) * ((2**21 - 1) / (high - low))).astype(int)
-    codes = [sum((int(cell[axis]) >> bit & 1) << (3 * bit + axis) for bit in range(21) for axis in range(3)) for cell in cells]
-    return np.array(sorted(range(len(codes)), key=codes.__getitem__))
 
 
 def test_an_ordinary_ply_is_written_under_other_names(rng, make_model, tmp_path):
