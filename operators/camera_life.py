@@ -174,10 +174,9 @@ class FASTGS_OT_key_from_view(Action, bpy.types.Operator):
             _place(camera, eye_of(context.space_data, view))
             # a view shows, at the same focal length, twice what a camera with Blender's standard sensor does
             camera.data.lens = context.space_data.lens * camera.data.sensor_width / 72.0
-        channels = {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}
         frame = context.scene.frame_current
         before, same, after = _keys_around(camera, frame)
-        for owner, name in ((camera, "location"), (camera, channels.get(camera.rotation_mode, "rotation_euler")), (camera.data, "lens")):
+        for owner, name in ((camera, "location"), (camera, camera_keys.rotation_path(camera)), (camera.data, "lens")):
             owner.keyframe_insert(name, frame=frame)
         done = f'"{camera.name}" is keyed on frame {frame}'
         if same:

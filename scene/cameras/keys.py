@@ -76,7 +76,7 @@ def animate(camera: bpy.types.Object, move: Callable[[np.ndarray], Path], frames
     around[0, 0], around[-1, 2] = frames[0], frames[-1]
     path = move(around.ravel())
     location, rotation = _local(camera, path)
-    parts = [(camera, "location", location), (camera, _rotation_path(camera), rotation)]
+    parts = [(camera, "location", location), (camera, rotation_path(camera), rotation)]
     if np.ptp(path.focal) > 1e-6 * path.focal.max() or (camera.data.animation_data and camera.data.animation_data.action):
         parts.append((camera.data, "lens", path.focal[:, None]))
     else:
@@ -138,7 +138,8 @@ def hide(context) -> None:
         bpy.data.curves.remove(data)
 
 
-def _rotation_path(obj) -> str:
+def rotation_path(obj) -> str:
+    """The property that holds an object's rotation, by its mode."""
     return {'QUATERNION': "rotation_quaternion", 'AXIS_ANGLE': "rotation_axis_angle"}.get(obj.rotation_mode, "rotation_euler")
 
 
