@@ -27,6 +27,10 @@ NARROW = 0.4
 """Cosine of the angle around its middle up to which one picture is taken from a lamp; six are where it shines farther around."""
 REACH = 3.5
 """Standard deviations up to which a Gaussian may throw a shadow."""
+FEW = 1024
+"""Points up to which one picture shows them all, and of more, about as many as tell where most of them lie."""
+APART = 4
+"""How many times as wide a picture of all points has to be as one of the crowd, for each of the two to have one."""
 SEEN = 1.5
 """How many times as large a splat may be in a picture: its projection is linearised."""
 
@@ -97,8 +101,14 @@ class Ways:
         _, several, count = places.shape
         points = places.reshape(3, -1)
         meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
+        over = np.broadcast_to(np.float64(over_splats), count)
         eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend) if count else None
         if eye is None:
+            return meshes, splats
+        crowd = _crowd(eye, places)
+        if crowd is not None:
+            for rows in (np.flatnonzero(crowd), np.flatnonzero(~crowd)):
+                meshes[rows], splats[rows] = self.past(light, number, side, np.take(places, rows, 2), size, over_meshes, over[rows])
             return meshes, splats
         if side.moments and len(side.moments[0]):
             last = len(side.moments) - 1
@@ -108,8 +118,7 @@ class Ways:
             meshes = self.backend.numpy(found).reshape(several, count).mean(0)
         viewed = [each.viewed(eye) for each in side.instances]
         if viewed:
-            over = np.broadcast_to(np.float64(over_splats), count).copy()
-            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[:, 0], over))
+            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[:, 0], over.copy()))
         return meshes, splats
 
     @cached_property
@@ -217,6 +226,28 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
     width, height = np.ceil((high - low) * focal).astype(int) + 3
     cx, cy = 1.5 - low * focal
     return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0, far=float(box[1, 2]))
+
+
+def _crowd(eye: Camera, places: np.ndarray) -> np.ndarray | None:
+    """Of points, each as several places [3, S, P], those that lie close together in a picture while the others make it far wider: [P].
+    None where it shows all of them well.
+
+    A capture's backdrop has a few Gaussians of its whole size.  In one picture with them the rest would lie in a few pixels.  (Tukey's
+    fences: two widths of the middle half from the median to each side.)
+    """
+    _, several, count = places.shape
+    if count < FEW:
+        return None
+
+    def pixels(points: np.ndarray) -> np.ndarray:
+        return eye.pixels((product(eye.world_to_camera[:3, :3], points) + eye.world_to_camera[:3, 3:]).T)
+
+    low, high = np.quantile(pixels(places[:, 0, ::count // FEW]), (0.25, 0.75), axis=0)
+    reach = np.maximum(2 * (high - low), 1)
+    if not 2 * APART * reach.max() <= max(eye.width, eye.height):
+        return None
+    near = (np.abs(pixels(places.reshape(3, -1)) - (low + high) / 2) <= reach).all(1).reshape(several, count).all(0)
+    return None if near.all() or not near.any() else near
 
 
 def across(direction: np.ndarray) -> np.ndarray:

@@ -113,3 +113,17 @@ def test_kernels_agree_with_the_oracle():
         cpu, oracle = (past([model], points, light, meshes, backend) for backend in ("cpu", "reference"))
         assert np.array_equal(cpu[0], oracle[0])
         assert np.abs(cpu[1] - oracle[1]).mean() < 2e-3 and np.mean(np.abs(cpu[1] - oracle[1]) > 0.02) < 0.02
+
+
+@pytest.mark.parametrize(("light", "far"), [(SUN, 3000.0), (LAMP, 8.0)])
+def test_a_few_points_far_away_do_not_blur_the_shadows_of_the_others(light, far):
+    """Most points lie close together, below small discs: they take the light that they take alone."""
+    rng = np.random.default_rng(4)
+    places = np.concatenate([rng.uniform(-0.02, 0.02, (200, 2)), np.full((200, 1), 2.0)], 1)
+    discs = fg.GaussianModel(position=places, rotation=np.tile([1.0, 0, 0, 0], (200, 1)), features=np.zeros((200, 3)),
+                             scale=np.log(np.tile([8e-4, 8e-4, 1e-5], (200, 1))), opacity=np.full(200, 3.0))
+    points = np.concatenate([rng.uniform(-0.03, 0.03, (2000, 2)), np.full((2000, 1), 3.0)], 1)
+    alone = past([discs], points, light)[1]
+    among = past([discs], np.concatenate([points, [[far, 0, 3.0], [0, far, 3.0]]]), light)[1]
+    assert 0.1 < alone.mean() < 0.95 and alone.min() < 0.1
+    assert np.allclose(among[:2000], alone, atol=0.02) and (among[2000:] > 0.99).all()
