@@ -60,10 +60,10 @@ class PictureBackend(Protocol):
         """The values [...] of an array [...]; the caller does not change them, but may keep them as long as nothing writes to the array."""
 
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
-             progress: Callable[[float], None], holdout: np.ndarray | None = None) -> Buffers:
+             progress: Callable[[float], None], holdout: np.ndarray | None = None, wanted: np.ndarray | None = None) -> Buffers:
         """Slice, crop, cull and project all instances, sort the splats, list them by tile and blend them (layout.Buffers).
 
-        probes    which of layout.PROBES are wanted
+        probes, wanted  which of layout.PROBES, and which pixels [h, w] (None: all), are asked for; other pixels may be anything
         progress  called with 0..1 between pieces of work; what it raises ends the work and passes through
         holdout   triangles [F, 3, 3] in the world that hide splats (rendering/holdout.py), or None.  The layout has planes with it
         """

@@ -300,8 +300,9 @@ class Oracle:
         return array
 
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
-             progress: Callable[[float], None], holdout: np.ndarray | None = None, band: float = 0.0) -> Buffers:
-        """All instances together, composited into the layout's channels; band: see rasterise()."""
+             progress: Callable[[float], None], holdout: np.ndarray | None = None, wanted: np.ndarray | None = None,
+             band: float = 0.0) -> Buffers:
+        """All instances together, composited into the layout's channels; all pixels are drawn; band: see rasterise()."""
         with np.errstate(all="ignore"):  # what overflows is not drawn
             drawn = [project(instance, camera, layout) for instance in instances] or [_nothing(layout)]
         progress(0.1)

@@ -24,21 +24,19 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import product, several
+from ..util.threads import several
 from .colour import linear_to_srgb, scene_linear, straight
 from .exposure import Exposure
 from .instances import Instance, ViewedInstance
 from .lamps import Lamp
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Side, Ways
+from .ways import Side, Ways, without_colours
 
 PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
 WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
 """These places, in pixels from its middle: no two in one row or column."""
-AROUND = 2.0
-"""Standard deviations around Gaussians with an edge in which pixels are drawn again."""
 SHARP = 0.01
 """Shares of light from 0 and 1 on that are those of an edge."""
 FAINT = 1e-3
@@ -46,7 +44,7 @@ FAINT = 1e-3
 NUMBERS = 5
 """Numbers of a lamp (Taken.numbers)."""
 BLOCK = 8
-"""Pixels of the side of the squares beside which there must be an edge for pixels to ask."""
+"""Pixels of the side of the squares beside which there must be an edge for pixels to ask; a coarse picture has one pixel for each."""
 WIDEST = 8
 """Pixels to each side over which steps of a soft shadow are smoothed, at most; a power of two."""
 MOST = 8
@@ -143,81 +141,83 @@ class _Drawn:
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
                  kinds: int, backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
-        eye = _around(instances, camera)
-        if eye is None:
+        found = _near_edges(instances, camera, lamps, backend)
+        if found is None:
             return
-        self._eye = eye
+        self._eye, self._near = eye, _ = found
         of_lamps = Quantity(kinds * lamps, lambda shown: _numbers(shown, lamps)[:, :kinds].reshape(-1, kinds * lamps))
         normals = Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
                            np.zeros((len(shown.index), 3)))
-        rgb, alpha, sums = self._sums(instances, eye, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
-        numbers = sums["numbers"].reshape(*alpha.shape, kinds, lamps)
-        at = np.nonzero(_asked(numbers[..., 3, :], alpha, BLOCK))
-        one, x, y, plane = _one(eye, sums, alpha, at, light.bias)
+        at, rgb, alpha, sums = self._shown(instances, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
+        pixels = np.divmod(at, eye.window[2])
+        x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), pixels[::-1], strict=True))
+        plane = np.divide(sums["plane"].T, alpha, order="C", dtype=np.float64)
+        one = _one(eye, sums, plane[0] + plane[1] * x + plane[2] * y, light.bias)
         rows = np.flatnonzero(one > SHARP)
         if not len(rows):
             return
-        self.one, x, y, plane, at = one[rows], x[rows], y[rows], plane[rows], _rows(at, rows)
-        rgb, alpha, numbers, normal = (array[at] for array in (rgb, alpha, numbers, sums["normal"]))
-        numbers /= alpha[:, None, None]
-        places = _points(eye, plane, *(side + WITHIN[:, axis:axis + 1] for axis, side in enumerate((x, y))))
+        self.one, self._at, rgb, alpha, normal, numbers = (array[rows] for array in (one, at, rgb, alpha, sums["normal"], sums["numbers"]))
+        pixels = pixels[0][rows], pixels[1][rows]
         normal /= np.maximum(np.sqrt(np.einsum("pi,pi->p", normal, normal)), 1e-30)[:, None]
+        places = _points(eye, np.take(plane, rows, 1), x[rows], y[rows])
         past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
-        self._at, self.pixels = at, (at[0] + eye.window[1] - camera.window[1], at[1] + eye.window[0] - camera.window[0])
-        self.past, self.splats = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, at), numbers[:, kinds - 1]
+        numbers = numbers.reshape(-1, kinds, lamps) / alpha[:, None, None]
+        self.past = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, pixels)
+        self.splats = numbers[:, kinds - 1]
+        self.pixels = pixels[0] + eye.window[1] - camera.window[1], pixels[1] + eye.window[0] - camera.window[0]
         takes = (numbers[:, :3] * (1 - self.past)[:, None]).sum(2)
         self.light = scene_linear(rgb, alpha, space) * np.maximum(1 - takes, 0)
 
     def of(self, instances: list[ViewedInstance]) -> np.ndarray:
         """What its pixels look like with these instances, in light [P, 3]."""
-        rgb, alpha, _ = self._sums(instances, self._eye, {}, False)
-        return scene_linear(rgb[self._at], alpha[self._at], self.space)
+        _, rgb, alpha, _ = self._shown(instances, {}, False, self._at)
+        return scene_linear(rgb, alpha, self.space)
 
-    def _sums(self, instances: list[ViewedInstance], eye: Camera, quantities: dict[str, Quantity], planes: bool
-              ) -> tuple[np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Colour [h, w, 3], alpha [h, w], and the sums of quantities by name, as a camera sees instances; planes: and the depth's, over the
-        core, and that of its plane."""
+    def _shown(self, instances: list[ViewedInstance], quantities: dict[str, Quantity], planes: bool, at: np.ndarray | None = None
+               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
+        """Pixels [P] of the window, which are `at` or those near edges that show something; their colours [P, 3], alpha [P], and sums of
+        quantities [P, K] by name; planes: and the depth's, over the core, and that of its plane."""
         layout = Layout(instances, planes, quantities, planes or self.holdout is not None, self.by_pixel)
         if planes:
             layout.core = layout.core[0], layout.places["depth"].stop  # the depth comes right after what is summed over the core
-        drawn = self.backend.draw(instances, eye, layout, (), lambda share: None, holdout=self.holdout)
-        rgb, alpha = (self.backend.numpy(array) for array in (self.backend.colour(drawn, layout, eye), drawn.alpha))
-        return rgb, alpha, {name: self.backend.numpy(array) for name, array in drawn.sums.items()}
+        drawn = self.backend.draw(instances, self._eye, layout, (), lambda share: None, holdout=self.holdout, wanted=self._near)
+        rgb, alpha, channels = (self.backend.numpy(array).reshape(self._near.size, -1)
+                                for array in (self.backend.colour(drawn, layout, self._eye), drawn.alpha, drawn.channels))
+        at = np.flatnonzero(self._near.ravel() & (alpha[:, 0] > FAINT)) if at is None else at
+        channels = channels[at]
+        return at, rgb[at], alpha[at, 0], {name: channels[:, where] for name, where in layout.places.items()}
 
 
-def _around(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
-    """The camera with a window around those Gaussians that an edge lies on, None where it sees none."""
-    found = [np.zeros((0, 4))]
-    for each in instances:
-        if each.taken is not None and each.taken.edges:
-            seen = Shown(each, np.flatnonzero(on_edge(each.taken.numbers[:, 3]).any(1)))
-            centre, axes = seen.pixels(each)
-            reach = AROUND * np.sqrt((axes * axes).sum(2)) + BLOCK
-            found.append(np.concatenate([centre - reach, centre + reach], 1)[seen.view[:, 2] > each.near])
-    boxes = np.concatenate(found)
+def _near_edges(instances: list[ViewedInstance], camera: Camera, lamps: int, backend: Any) -> tuple[Camera, np.ndarray] | None:
+    """The camera with a window around the edges that it sees, and which pixels [h, w] of that lie near one; None where it sees none.
+
+    They are looked for in a picture with one pixel for each BLOCK x BLOCK.
+    """
     x0, y0, width, height = camera.window
-    boxes = np.clip(boxes, [x0, y0] * 2, [x0 + width, y0 + height] * 2).astype(int)
-    boxes = boxes[(boxes[:, :2] < boxes[:, 2:]).all(1)]
-    if not len(boxes):
+    left, top, right, bottom = x0 // BLOCK, y0 // BLOCK, -(-(x0 + width) // BLOCK), -(-(y0 + height) // BLOCK)
+    coarse = replace(  # with a pixel beside the window to each side
+        camera, width=-(-camera.width // BLOCK) + 2, height=-(-camera.height // BLOCK) + 2, fx=camera.fx / BLOCK, fy=camera.fy / BLOCK,
+        cx=camera.cx / BLOCK + 1, cy=camera.cy / BLOCK + 1, window=(left, top, right - left + 2, bottom - top + 2))
+    seen = [replace(each, camera=coarse, model=without_colours(each.model)) for each in instances]
+    layout = Layout(seen, False, {"past": Quantity(lamps, lambda shown: _numbers(shown, lamps)[:, 3])})
+    drawn = backend.draw(seen, coarse, layout, (), lambda share: None)
+    alpha, past = backend.numpy(drawn.alpha)[..., None], backend.numpy(drawn.sums["past"])
+    near = ((alpha > FAINT) & on_edge(past / np.maximum(alpha, FAINT))).any(-1)
+    near = near[:-2] | near[1:-1] | near[2:]
+    near = near[:, :-2] | near[:, 1:-1] | near[:, 2:]
+    if not near.any():
         return None
-    (left, top), (right, bottom) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
-    return replace(camera, window=(left, top, right - left, bottom - top))
+    near = near.repeat(BLOCK, 0).repeat(BLOCK, 1)[y0 - top * BLOCK:, x0 - left * BLOCK:][:height, :width]
+    (top, bottom), (left, right) = (np.flatnonzero(near.any(axis))[[0, -1]].tolist() for axis in (1, 0))
+    window = x0 + left, y0 + top, right + 1 - left, bottom + 1 - top
+    return replace(camera, window=window), near[top:bottom + 1, left:right + 1]
 
 
-def _rows(at: tuple[np.ndarray, ...], rows: np.ndarray) -> tuple[np.ndarray, ...]:
-    """Some of the pixels, by rows and columns."""
-    return tuple(axis[rows] for axis in at)
-
-
-def _one(eye: Camera, sums: dict[str, np.ndarray], alpha: np.ndarray, at: tuple[np.ndarray, ...], bias: float) -> tuple[np.ndarray, ...]:
-    """Of pixels [P], by rows and columns: whether each shows one surface, from 0 to 1; x and y from the image's middle; the surface's depth
-    as a plane [P, 3] over these."""
-    x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), at[::-1], strict=True))
-    near, core, plane = (sums[name][at].astype(np.float64) for name in ("depth", "wide", "plane"))
-    mean, wide = np.concatenate([near, core[:, :1]], 1).T / np.maximum(core[:, 1], 1e-30)
-    plane /= alpha[at][:, None]
-    depth = plane[:, 0] + plane[:, 1] * x + plane[:, 2] * y
-    return np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * bias), 0, 1) * (depth > eye.near), x, y, plane
+def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: float) -> np.ndarray:
+    """Whether each of P pixels, of sums [P, K], shows one surface, which lies at this depth [P]: from 0 to 1."""
+    core = np.maximum(sums["wide"][:, 1], 1e-30).astype(np.float64)
+    mean, wide = sums["depth"][:, 0] / core, sums["wide"][:, 0] / core
+    return np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * bias), 0, 1) * (depth > eye.near)
 
 
 def _wide(shown: Shown) -> np.ndarray:
@@ -232,18 +232,6 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     if shown.instance.taken:
         return shown.instance.taken.numbers[shown.index]
     return np.broadcast_to(np.array([0, 0, 0, 1, 1])[:, None], (len(shown.index), NUMBERS, lamps))
-
-
-def _asked(past: np.ndarray, alpha: np.ndarray, block: int) -> np.ndarray:
-    """Which pixels [h, w] lie in or beside a block of so many pixels with an edge, of sums of shares past meshes [h, w, L] and alpha."""
-    (height, width), there = alpha.shape, alpha > FAINT
-    rows, columns = -(-height // block), -(-width // block)
-    blocks = np.zeros((rows * block, columns * block), bool)
-    blocks[:height, :width] = there & on_edge(past / np.maximum(alpha, FAINT)[..., None]).any(-1)
-    blocks = np.pad(blocks.reshape(rows, block, columns, block).any((1, 3)), 1)
-    blocks = blocks[:-2] | blocks[1:-1] | blocks[2:]
-    blocks = blocks[:, :-2] | blocks[:, 1:-1] | blocks[:, 2:]
-    return blocks.repeat(block, 0).repeat(block, 1)[:height, :width] & there
 
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
@@ -271,12 +259,16 @@ def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) 
 
 
 def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """Points [3, S, P] in the world at x and y [S, P], in pixels from the image's middle, on planes [P, 3] of depth."""
-    depth = plane[:, 0] + plane[:, 1] * x + plane[:, 2] * y
-    spread = 1.0 if eye.orthographic else depth
-    view = np.stack([(x + eye.width / 2 - eye.cx) / eye.fx * spread, (y + eye.height / 2 - eye.cy) / eye.fy * spread, depth])
-    to_world = np.linalg.pinv(eye.world_to_camera)
-    return (product(to_world[:3, :3], view.reshape(3, -1)) + to_world[:3, 3:]).reshape(view.shape)
+    """The places WITHIN pixels in the world [3, PLACES, P], of pixels at x and y [P] from the image's middle, on planes [3, P] of depth."""
+    out, to_world = np.empty((3, PLACES, len(x))), np.linalg.pinv(eye.world_to_camera)[:3]
+    for place, (right, down) in enumerate(WITHIN):
+        across, along = x + right, y + down
+        depth = plane[0] + plane[1] * across + plane[2] * along
+        spread = 1.0 if eye.orthographic else depth
+        across, along = (across + (eye.width / 2 - eye.cx)) / eye.fx * spread, (along + (eye.height / 2 - eye.cy)) / eye.fy * spread
+        for axis, row in enumerate(to_world):
+            out[axis, place] = row[0] * across + row[1] * along + row[2] * depth + row[3]
+    return out
 
 
 def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
@@ -293,7 +285,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
             share = bright[k] * lamp.share(k, middle[:, side.rows], normal[:, side.rows])
             lit, each = np.flatnonzero(share), min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
             rows = side.rows[lit]
-            own = np.stack([np.take(places[:, (k * each + i) % len(WITHIN)], rows, 1) for i in range(each)], 1)
+            own = np.take(np.take(places, (k * each + np.arange(each)) % PLACES, 1), rows, 2)
             return rows, share[lit], ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
 
         for rows, share, open_ in several(told, [(k, side) for side in sides for k in np.flatnonzero(bright)]):

@@ -16,6 +16,7 @@ from .holdout import surface
 from .jit import announce
 from .rasterise import rasterise
 from .splats import project_instances
+from .tile_lists import tiles_of
 
 FEATURES = 9
 """Channels of a picture of one decoder's features alone: these are decoded by rows of tiles, and never kept."""
@@ -45,14 +46,14 @@ class CPU:
     def picture(self, rgb, stored):
         return rgb
 
-    def draw(self, instances, camera, layout, probes, progress, holdout=None) -> Buffers:
+    def draw(self, instances, camera, layout, probes, progress, holdout=None, wanted=None) -> Buffers:
         announce()
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         order, channels, rows = splats.order(), splats.channels, (splats.geometry, splats.attributes)
         del splats  # the rest of which is memory
         group = layout.groups[0]
         decode = Decoder(group.instance, camera, group.decode) if layout.channels == FEATURES and group.instance else None
-        picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), holdout=holdout,
+        picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), tiles_of(wanted, camera), holdout,
                             plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decode)
         return picture.buffers(layout)
 

@@ -80,6 +80,15 @@ def list_spans(order, geometry, attributes, grid, tile, wanted=None):
     return segments, changes.cumsum(1, np.int64)[:, :-1]
 
 
+def tiles_of(wanted: np.ndarray | None, camera: Camera, tile: int = raster.TILE) -> np.ndarray | None:
+    """In which tiles of a camera's window there are pixels of a mask [h, w] of it: [tiles] bool; None, which is for all, without one."""
+    if wanted is None:
+        return None
+    (x0, y0), (height, width) = camera.window[:2], wanted.shape
+    whole = np.pad(wanted, ((y0 % tile, -(y0 + height) % tile), (x0 % tile, -(x0 + width) % tile)))
+    return whole.reshape(len(whole) // tile, tile, -1, tile).any((1, 3)).ravel()
+
+
 def list_tiles(segments, counts, first: int, last: int):
     """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
     starts, cursors = tile_cursors(counts, first, last)

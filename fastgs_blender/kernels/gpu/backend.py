@@ -74,8 +74,8 @@ class GPU(CPU):
         return self._or_else(array.numpy, array.instead) if isinstance(array, Bands) else array
 
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
-             progress: Callable[[float], None], holdout: np.ndarray | None = None) -> Any:
-        again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout))
+             progress: Callable[[float], None], holdout: np.ndarray | None = None, wanted: np.ndarray | None = None) -> Any:
+        again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout, wanted))
         return self._or_else(
             lambda: draw(self.device, self.models, instances, camera, layout, probes, progress, holdout, again), again)
 

@@ -8,7 +8,7 @@ from fastgs_blender.kernels.cpu import raster, tiles
 from fastgs_blender.kernels.cpu.jit import kernel
 from fastgs_blender.kernels.cpu.lanes import LANES
 from fastgs_blender.kernels.cpu.rasterise import rasterise
-from fastgs_blender.kernels.cpu.tile_lists import TileLists, list_tiles
+from fastgs_blender.kernels.cpu.tile_lists import TileLists, list_tiles, tiles_of
 from fastgs_blender.util.threads import set_threads
 
 CAMERA = Camera(150, 120, 100, 100, 75, 60, np.eye(4), window=(5, 3, 131, 110))
@@ -88,3 +88,12 @@ def test_the_tiles_that_are_wanted_are_as_if_all_were(splats, threads):
     mask = np.kron(wanted.reshape(8, 9), np.ones((16, 16), bool))[y0:y0 + height, x0:x0 + width]
     assert (part.channels[mask] == whole.channels[mask]).all() and (part.alpha[mask] == whole.alpha[mask]).all()
     assert not part.alpha[~mask].any() and mask.any() and not mask.all()
+
+
+def test_pixels_ask_for_the_tiles_that_they_lie_in():
+    x0, y0, width, height = CAMERA.window
+    x, y = np.random.default_rng(6).integers(0, [[width], [height]], (2, 20))
+    pixels, expected = np.zeros((height, width), bool), np.zeros((8, 9), bool)
+    pixels[y, x] = expected[(y + y0) // 16, (x + x0) // 16] = True
+    assert np.array_equal(tiles_of(pixels, CAMERA), expected.ravel()) and not expected.all()
+    assert tiles_of(None, CAMERA) is None

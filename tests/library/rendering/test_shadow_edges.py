@@ -1,5 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Shadows of meshes on splats that are larger than the shadows' edges may be."""
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from test_scene_light import ALBEDO, CAMERA, LIT, board, lit, wall
@@ -38,6 +40,14 @@ def test_an_edge_is_as_sharp_as_pixels(backend):
     share = light_of(shaded, free)
     assert share[dark & clear].max() < 0.02 and share[~dark & clear].min() > 0.98
     assert np.array_equal(shaded, lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 0.3), backend=backend))
+
+
+@pytest.mark.parametrize("window", [(int(32 - ABOVE) - 3, 9, 4, 45), (30, int(32 - ABOVE), 1, 1)])
+def test_a_part_of_the_picture_has_the_edges_of_the_whole(window):
+    """Also a single pixel, and where the part's border runs along an edge."""
+    x, y, width, height = window
+    whole, part = (lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 0.3), camera=camera) for camera in (CAMERA, replace(CAMERA, window=window)))
+    assert np.allclose(part, whole[y:y + height, x:x + width], atol=1e-4)
 
 
 def test_a_lamp_of_many_points_throws_thin_shadows():
