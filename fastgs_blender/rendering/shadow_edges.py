@@ -240,7 +240,7 @@ def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) 
     size = [axis.max() - first + 1 + WIDEST for axis, first in zip(seen, corner, strict=True)]
     at, out = tuple(axis - first for axis, first in zip(seen, corner, strict=True)), past.copy()
     for lamp in np.flatnonzero((points > 1.5).any(0)):
-        there, low, high, mean = np.zeros(size), np.full(size, np.inf), np.full(size, -np.inf), np.zeros(size)
+        there, mean, low, high = np.zeros(size), np.zeros(size), *(np.full(size, edge, np.float32) for edge in (np.inf, -np.inf))
         there[at], low[at], high[at], mean[at] = 1, *[past[:, lamp]] * 3
         total, step, radius = there.cumsum(0).cumsum(1), 2.001 / np.maximum(points[:, lamp], 1), 0
         summed = mean.cumsum(0).cumsum(1)
@@ -249,7 +249,8 @@ def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) 
             for axis in (0, 1):
                 low = np.minimum(low, np.minimum(np.roll(low, off, axis), np.roll(low, -off, axis)))
                 high = np.maximum(high, np.maximum(np.roll(high, off, axis), np.roll(high, -off, axis)))
-            narrow = np.flatnonzero(high[at] - low[at] <= step)
+            differ = high[at] - low[at]
+            narrow = np.flatnonzero((differ > 0) & (differ <= step))
             rows, columns = at[0][narrow], at[1][narrow]
             box = [(rows + radius, columns + radius), (rows - radius - 1, columns + radius), (rows + radius, columns - radius - 1),
                    (rows - radius - 1, columns - radius - 1)]
@@ -274,23 +275,26 @@ def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.
 def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
     """By lamp, which share of its light comes past the meshes to pixels, as places [3, S, P] with normals [3, P], and of how many points of
     the lamp, as if each were as bright: [P, L] each."""
-    scene, middle = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1)
-    free, left, squares = np.zeros((3, count, len(normal.T)))
+    scene, middle, total = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1), np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        sides = ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max()))
+        for side in ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max())):
+            here, facing, within = (np.take(array, side.rows, -1) for array in (middle, normal, places))
+            sums, told = np.zeros((3, len(side.rows))), partial(_told, lamp, ways, side, here, facing, within, light)
+            for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
+                for row, value in zip(sums, (share, share * open_, share**2), strict=True):
+                    row += value
+            total[:, level, side.rows] += sums
+    free, left, squares = total
+    return (left / np.maximum(free, 1e-30)).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
 
-        def told(k: int, side: Side, lamp: Lamp = lamp, ways: Ways = ways, bright: np.ndarray = bright) -> tuple[np.ndarray, ...]:
-            """Which pixels a point of the lamp lights, how much, and which share of that comes past the meshes."""
-            share = bright[k] * lamp.share(k, middle[:, side.rows], normal[:, side.rows])
-            lit, each = np.flatnonzero(share), min(max(round(PLACES * bright[k] / bright.sum()), 1), len(WITHIN))
-            rows = side.rows[lit]
-            own = np.take(np.take(places, (k * each + np.arange(each)) % PLACES, 1), rows, 2)
-            return rows, share[lit], ways.past(lamp.light, k, side, own, light.size, light.bias)[0]
 
-        for rows, share, open_ in several(told, [(k, side) for side in sides for k in np.flatnonzero(bright)]):
-            free[level, rows] += share
-            left[level, rows] += share * open_
-            squares[level, rows] += share**2
-    shine = np.maximum(free, 1e-30)
-    return (left / shine).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
+def _told(lamp: Lamp, ways: Ways, side: Side, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
+          bright: float, part: float) -> tuple[np.ndarray, np.ndarray]:
+    """How much light the lamp's point of that number, of that brightness and part of all, sends to a side's pixels [R], and which share of
+    that comes past the meshes."""
+    share, each = bright * lamp.share(number, middle, normal), min(max(round(PLACES * part), 1), PLACES)
+    own, open_ = places[:, (number * each + np.arange(each)) % PLACES], np.ones(len(share), np.float32)
+    lit = np.flatnonzero(share) if 2 * np.count_nonzero(share) < len(share) else slice(None)  # copies cost as much as asking for a few
+    open_[lit] = ways.past(lamp.light, number, side, own[:, :, lit], light.size, light.bias)[0]
+    return share, open_
