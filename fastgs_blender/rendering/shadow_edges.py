@@ -37,6 +37,8 @@ PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
 WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
 """These places, in pixels from its middle: no two in one row or column."""
+AROUND = 2.0
+"""Standard deviations around Gaussians with an edge in which pixels are looked at again."""
 SHARP = 0.01
 """Shares of light from 0 and 1 on that are those of an edge."""
 FAINT = 1e-3
@@ -141,8 +143,9 @@ class _Drawn:
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
                  kinds: int, backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
-        found = _near_edges(instances, camera, lamps, backend)
-        if found is None:
+        eye = _around(instances, camera)
+        found = eye and _near_edges(instances, eye, lamps, backend)
+        if not found:
             return
         self._eye, self._near = eye, _ = found
         of_lamps = Quantity(kinds * lamps, lambda shown: _numbers(shown, lamps)[:, :kinds].reshape(-1, kinds * lamps))
@@ -211,6 +214,25 @@ def _near_edges(instances: list[ViewedInstance], camera: Camera, lamps: int, bac
     (top, bottom), (left, right) = (np.flatnonzero(near.any(axis))[[0, -1]].tolist() for axis in (1, 0))
     window = x0 + left, y0 + top, right + 1 - left, bottom + 1 - top
     return replace(camera, window=window), near[top:bottom + 1, left:right + 1]
+
+
+def _around(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
+    """The camera with a window around those Gaussians that an edge lies on, None where it sees none."""
+    found = [np.zeros((0, 4))]
+    for each in instances:
+        if each.taken is not None and each.taken.edges:
+            seen = Shown(each, np.flatnonzero(on_edge(each.taken.numbers[:, 3]).any(1)))
+            centre, axes = seen.pixels(each)
+            reach = AROUND * np.sqrt((axes * axes).sum(2)) + BLOCK
+            found.append(np.concatenate([centre - reach, centre + reach], 1)[seen.view[:, 2] > each.near])
+    boxes = np.concatenate(found)
+    x0, y0, width, height = camera.window
+    boxes = np.clip(boxes, [x0, y0] * 2, [x0 + width, y0 + height] * 2).astype(int)
+    boxes = boxes[(boxes[:, :2] < boxes[:, 2:]).all(1)]
+    if not len(boxes):
+        return None
+    (left, top), (right, bottom) = boxes[:, :2].min(0).tolist(), boxes[:, 2:].max(0).tolist()
+    return replace(camera, window=(left, top, right - left, bottom - top))
 
 
 def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: float) -> np.ndarray:
