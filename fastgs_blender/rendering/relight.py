@@ -50,7 +50,7 @@ class SceneLight:
     lamps   of the scene
     meshes  triangles [F, 3, 3] in the world that cast shadows on splats, or None
     bias    how near to a surface nothing casts shadows on it, in units of the world
-    size    pixels of the longer side of the pictures from a lamp, which its blur is measured in; a point with little of its light has fewer
+    size    pixels of the longer side of the pictures from a lamp; a point with little of its light has fewer
     levels  the number of each lamp's passes, from 0; lamps may share one.  Empty: they are numbered in their order
     clear   by the names of lamps, which of the meshes' triangles let their light through: masks [F]
     reach   distance from meshes up to which they take light from all around, for the pass of contact occlusion

@@ -27,6 +27,8 @@ NARROW = 0.4
 """Cosine of the angle around its middle up to which one picture is taken from a lamp; six are where it shines farther around."""
 REACH = 3.5
 """Standard deviations up to which a Gaussian may throw a shadow."""
+BLUR = 0.025
+"""Variance in pixels^2 by which splats are wider in a picture: just so much that none falls between the pixels at tiles' borders."""
 FEW = 1024
 """Points up to which one picture shows them all, and of more, about as many as tell where most of them lie."""
 APART = 4
@@ -177,8 +179,9 @@ def without_colours(model: GaussianModel) -> GaussianModel:
 
 
 def _plain(instance: Instance) -> Instance:
-    """The instance without colours, which are nothing to shadows."""
-    return replace(instance, model=without_colours(instance.model))
+    """The instance without colours, which are nothing to shadows; its splats hide as much in a picture of few pixels as in one of many."""
+    raster = replace(instance.model.raster, blur=BLUR, antialiased=True)
+    return replace(instance, model=replace(without_colours(instance.model), raster=raster))
 
 
 def _bare(instance: Instance, backend: Any) -> Instance:

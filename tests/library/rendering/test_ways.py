@@ -22,13 +22,13 @@ def veil(depth=2.0, opacity=OPACITY, flat=1e-3, turn=(1.0, 0, 0, 0)):
                             opacity=[np.log(opacity / (1 - opacity))])
 
 
-def past(models, points, light, meshes=None, backend="cpu", **over):
+def past(models, points, light, meshes=None, backend="cpu", size=256, **over):
     """The shares of the light that come past meshes and splats to points, of each point of a lamp the mean."""
     ways = Ways(load_backend(backend), [Instance(model, np.eye(4), 0.0) for model in models], meshes)
     points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
     for side in ways.sides(light, points.T):
         for k in range(len(light.points)):
-            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[:, None, side.rows], 256, **over)) / len(light.points)
+            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[:, None, side.rows], size, **over)) / len(light.points)
     return found
 
 
@@ -127,3 +127,14 @@ def test_a_few_points_far_away_do_not_blur_the_shadows_of_the_others(light, far)
     among = past([discs], np.concatenate([points, [[far, 0, 3.0], [0, far, 3.0]]]), light)[1]
     assert 0.1 < alone.mean() < 0.95 and alone.min() < 0.1
     assert np.allclose(among[:2000], alone, atol=0.02) and (among[2000:] > 0.99).all()
+
+
+@pytest.mark.parametrize("light", [SUN, LAMP])
+def test_splats_smaller_than_pixels_hide_as_much_as_in_a_fine_picture(light):
+    rng = np.random.default_rng(5)
+    places = np.concatenate([rng.uniform(-1, 1, (3000, 2)), np.full((3000, 1), 2.0)], 1)
+    discs = fg.GaussianModel(position=places, rotation=np.tile([1.0, 0, 0, 0], (3000, 1)), features=np.zeros((3000, 3)),
+                             scale=np.log(np.tile([0.006, 0.006, 1e-4], (3000, 1))), opacity=np.full(3000, 3.0))
+    points = np.concatenate([rng.uniform(-1, 1, (2000, 2)), np.full((2000, 1), 3.0)], 1)
+    coarse, fine = (past([discs], points, light, size=size)[1].mean() for size in (128, 4096))
+    assert fine < 0.95 and abs(coarse - fine) < 0.02
