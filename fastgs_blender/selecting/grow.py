@@ -11,15 +11,16 @@ that strokes pull to 1 and -1 and everything else weakly to 0, what has other co
 * Joins across which it differs much hold less, so that it falls where the thing ends, not all the way there: half the way to a minimal cut.
 
 With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
-within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.  A stroke across colours adds pieces (spans.py).
+within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.  Pieces of other colours are added (spans.py).
 """
 import numpy as np
 
 from ..model.gaussians import GaussianModel
+from ..model.slicing import positions_at
 from ..rendering.filters import base_colours
 from ..util.errors import FastGSError
 from .joins import joins
-from .spans import spanned
+from .spans import continued, spanned
 
 PULL, MOST_PULL = 0.3, 0.03
 """How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it, with MANY Gaussians; and at most.  By more, a
@@ -89,7 +90,9 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     cut = (np.bincount(ends[0], weight, far) - np.bincount(ends[1], weight, far)).cumsum()[:-1]
     inside = degree.sum() - np.bincount(above, degree, far).cumsum()[:-1]
     thing = y > tried[np.argmin((cut / np.maximum(inside, LOOSE) + FREE) / shares)]
-    return spanned(found, yes, thing, y > tried[0], other < 0.5)
+    may = y > tried[0]
+    thing = spanned(found, yes, thing, may, other < 0.5)
+    return continued(found, positions_at(model, 0.5), thing, may)
 
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:

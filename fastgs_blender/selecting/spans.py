@@ -4,6 +4,9 @@
 Two strokes alone do not say whether a cup belongs to its tray, or a head to its torso.  But a stroke over a torso and a thigh crosses a
 border of colours, and so do the borders to head and arms not end the thing.  One over a cup crosses none.  Motion stays a border: limbs
 keep a common point, where they hardly move against each other, and two things that pass do not.
+
+Where a stroke crosses no colours, the border itself may tell (continued()).  Where a thing goes on in another colour, as a painted ball
+does, its two sides lie opposite to each other.  Things that touch lie side by side there, or one on the other.
 """
 import numpy as np
 
@@ -17,6 +20,8 @@ ANOTHER = 0.5 * MOST_TINT
 """The difference of colours (`Joins.tint`) from which on a stroke goes on to another colour."""
 SIZE = 0.5
 """The largest piece that is added, as a share of the Gaussians of what it hangs on."""
+ON = 0.1
+"""How far at least the two sides of a border lie opposite to each other, if a thing goes on there: 0 side by side, about 0.2 painted."""
 
 
 def spanned(found: Joins, yes: np.ndarray, thing: np.ndarray, may: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -45,3 +50,23 @@ def spanned(found: Joins, yes: np.ndarray, thing: np.ndarray, may: np.ndarray, l
         hangs &= (np.bincount(piece, minlength=len(yes)) <= SIZE * thing.sum()) & (np.bincount(piece, ~may, len(yes)) == 0)
         thing = thing | hangs[piece]
     return thing
+
+
+def continued(found: Joins, place: np.ndarray, thing: np.ndarray, may: np.ndarray) -> np.ndarray:
+    """A thing [N] bool, with the pieces into which it goes on; place [N, 3] is where Gaussians are at one moment, `may` as above."""
+    from ..kernels.cpu.walk import pieces
+
+    (i, j), count = found.ends.T, len(thing)
+    firm = (found.near <= NEAR) & (found.drift <= STILL)
+    piece = pieces(count, found.ends[firm & ~thing[i] & ~thing[j]])
+    edge = firm & (thing[i] != thing[j])
+    way = place[j] - place[i]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    (a, b), own = found.ends[firm & ~edge].T, way[firm & ~edge].T  # where each Gaussian's neighbours of its own side lie
+    many = np.maximum(np.bincount(a, minlength=count) + np.bincount(b, minlength=count), 1)
+    side = np.stack([(np.bincount(a, x, count) - np.bincount(b, x, count)) / many for x in own], 1)
+    i, j, way = i[edge], j[edge], way[edge]
+    apart = np.minimum(-(side[i] * way).sum(1), (side[j] * way).sum(1))
+    beyond = piece[np.where(thing[i], j, i)]
+    goes = np.bincount(beyond, apart, count) > ON * np.bincount(beyond, minlength=count)
+    return thing | (goes & (np.bincount(piece, ~may, count) == 0))[piece]

@@ -15,7 +15,7 @@ from fastgs_blender.kernels.cpu.walk import potential
 from fastgs_blender.selecting.grow import connected, grow
 from fastgs_blender.selecting.joins import Joins, joins
 from fastgs_blender.selecting.neighbours import nearest
-from fastgs_blender.selecting.spans import spanned
+from fastgs_blender.selecting.spans import continued, spanned
 
 
 def made(name, count=3000):
@@ -126,6 +126,34 @@ def test_what_hangs_on_a_thing_is_not_added(changed):
 def test_what_has_colours_of_the_stroke_is_found_first():
     """The rest of the thing, though a piece of other colours behind it belongs to the other side."""
     assert np.flatnonzero(chain(thing=range(16), may=[*RED, *BLUE, *HEAD[1:]])).tolist() == [*RED, *BLUE]
+
+
+def sheet(beyond, drift=0.0, may=True) -> np.ndarray:
+    """Of a sheet of 8 x 6, whose thing are the first 4 columns, the columns that continued() finds; the others lie at `beyond` [4]."""
+    x = np.r_[np.arange(4.0), np.atleast_2d(beyond).T[:, 0]]
+    place = np.stack([np.repeat(x, 6), np.tile(np.arange(6.0), 8), np.repeat([0.0, 0, 0, 0, *4 * [0.1]], 6)], 1)
+    apart = np.linalg.norm(place[:, None] - place, axis=2)
+    ends = np.argwhere(np.triu(apart < 1.5, 1)).astype(np.int32)
+    thing = np.arange(48) < 24
+    crosses = thing[ends[:, 0]] != thing[ends[:, 1]]
+    found = Joins(ends, np.ones(len(ends)), np.where(crosses, drift, 0.0), np.where(crosses, 6.0, 0.0))
+    return np.flatnonzero(continued(found, place, thing, thing | may).reshape(8, 6).all(1))
+
+
+def test_a_thing_goes_on_in_another_colour():
+    """Not into what lies on it, moves against it or is the other side's."""
+    assert sheet([4, 5, 6, 7]).tolist() == [*range(8)]
+    for other in sheet([1, 2, 3, 4]), sheet([4, 5, 6, 7], drift=12.0), sheet([4, 5, 6, 7], may=False):
+        assert other.tolist() == [*range(4)]
+
+
+def test_a_stroke_over_one_colour_of_a_ball_is_enough():
+    scene = made("ball and box")
+    yes, no = scenes.strokes(scene.model, scene)
+    east = scene.truth & (scene.model.position[:, 0] > scene.model.position[scene.truth, 0].mean())
+    model = dataclasses.replace(scene.model, features=np.where(east[:, None], np.float32([0.1, 0.2, 0.8]), scene.model.features))
+    for half in east, ~east:
+        assert (yes & half).any() and np.mean(grow(model, yes & half, no) == scene.truth) > 0.99
 
 
 def test_without_a_stroke_there_is_a_sentence():
