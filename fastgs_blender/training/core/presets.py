@@ -4,6 +4,7 @@
 STG is Spacetime Gaussians' full model as it was published for Neural 3D Video (github.com/oppo-us-research/SpacetimeGaussians, commit
 427abfc).  PAPER is the paper as printed, and STG where it is silent.  docs/paper.md says, item by item, what still differs from both.
 """
+import math
 from typing import Any
 
 SCHEDULE = 30_000
@@ -38,6 +39,16 @@ STG: dict[str, Any] = {
     "segment_steps": 0.0,
 }
 PAPER: dict[str, Any] = {**STG, "motion": "paper", "order": 5, "motion_weight": 0.1, "regulariser": "printed", "loss": "sum"}
+
+_TECHNICOLOR = published(25_000, scale_rate=5e-3, densify_rounds=12, init_duration=math.exp(-2),
+                          init_duration_static=math.exp(-2), activation="clamp")
+SCENES: dict[str, dict[str, dict[str, Any]]] = {
+    "n3v": {"coffee_martini": published(10_000, scale_rate=3e-3), "flame_salmon": published(12_000, scale_rate=3e-3)},
+    "technicolor": dict.fromkeys(("Birthday", "Fabien", "Painter", "Theater", "Train"), _TECHNICOLOR),
+    "immersive": {"02_Flames": published(20_000, 12_000, scale_rate=1e-3, motion_rate=0.5 * 0.5 * 1.6e-4, activation="none",
+                                         densify_time="keep")},
+}
+"""What STG's configurations of single scenes change (configs/n3d_full, techni_full, im_distort_full), by data set."""
 
 LENGTHS: dict[str, dict[str, Any]] = {
     "draft": {"iterations": 2500, "max_gaussians": 20_000, "init_points": 10_000, "warm_up": (0.05, 0.2), "cool_down": 0.0},

@@ -2,7 +2,6 @@
 """The parts of training that need no picture: settings, starting model, schedule, checkpoints."""
 import errno
 import json
-import math
 import re
 from pathlib import Path
 from types import SimpleNamespace
@@ -18,7 +17,7 @@ from fastgs_blender.training.core import density, schedule, targets
 from fastgs_blender.training.core import model as starting
 from fastgs_blender.training.core import settings as options
 from fastgs_blender.training.core.moving_pixels import MovingPixels
-from fastgs_blender.training.core.presets import PRESETS, published
+from fastgs_blender.training.core.presets import PRESETS, SCENES
 from fastgs_blender.training.initial.first_model import depth_of, model_from_points
 from fastgs_blender.training.initial.neighbours import neighbour_distance
 from fastgs_blender.training.run import checkpoint
@@ -52,16 +51,6 @@ def test_published_setups():
     assert [rates["position"] for rates in (first, last)] == pytest.approx([2 * 1.6e-4, 2 * 1.6e-4 * 0.01 ** (25 / 30)]), "in extents"
     assert first["motion"] == pytest.approx(2 * 2.8e-4) and last["motion"] == pytest.approx(first["motion"])
     assert first["scale"] == last["scale"] == 1.5e-3 and set(first["w1"]) == {1e-4}
-
-
-SCENES = {
-    "n3v": {"coffee_martini": published(10_000, scale_rate=3e-3), "flame_salmon": published(12_000, scale_rate=3e-3)},
-    "technicolor": {"Fabien": published(25_000, scale_rate=5e-3, densify_rounds=12, init_duration=math.exp(-2),
-                                        init_duration_static=math.exp(-2), activation="clamp")},
-    "immersive": {"02_Flames": published(20_000, 12_000, scale_rate=1e-3, motion_rate=0.5 * 0.5 * 1.6e-4, activation="none",
-                                         densify_time="keep")},
-}
-"""What STG's configurations of single scenes change (configs/n3d_full, techni_full, im_distort_full), by data set."""
 
 
 @pytest.mark.parametrize(("data_set", "scene", "steps", "scaling_lr", "last"), [
