@@ -148,7 +148,7 @@ def test_a_thing_goes_on_in_another_colour():
 
 
 def test_a_stroke_over_one_colour_of_a_ball_is_enough():
-    scene = made("ball and box")
+    scene = made("ball and box", 6000)
     yes, no = scenes.strokes(scene.model, scene)
     east = scene.truth & (scene.model.position[:, 0] > scene.model.position[scene.truth, 0].mean())
     model = dataclasses.replace(scene.model, features=np.where(east[:, None], np.float32([0.1, 0.2, 0.8]), scene.model.features))
