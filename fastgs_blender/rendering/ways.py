@@ -28,7 +28,7 @@ NARROW = 0.4
 REACH = 3.5
 """Standard deviations up to which a Gaussian may throw a shadow."""
 BLUR = 0.025
-"""Variance in pixels^2 by which splats are wider in a picture: just so much that none falls between the pixels at tiles' borders."""
+"""Variance in pixels^2 by which splats are wider in a picture: just so much that hardly any falls between pixels at a tile's border."""
 FEW = 1024
 """Points up to which one picture shows them all, and of more, about as many as tell where most of them lie."""
 APART = 4
