@@ -46,10 +46,8 @@ def in_background(work, cancel: bool = True):
 
 def in_steps(work, apart: bool):
     """in_background() if the work is to be done `apart` from Blender, else at once: yields the share that is done, returns the result."""
-    if apart:
-        return (yield from in_background(work))
-    yield 0.0
-    return work(None)
+    yield 0.0  # so that work is told that ends before it is looked at
+    return (yield from in_background(work)) if apart else work(None)
 
 
 def relayed(steps, shown):
