@@ -236,7 +236,7 @@ def _crowd(eye: Camera, places: np.ndarray) -> np.ndarray | None:
     None where it shows all of them well.
 
     A capture's backdrop has a few Gaussians of its whole size.  In one picture with them the rest would lie in a few pixels.  (Tukey's
-    fences: two widths of the middle half from the median to each side.)
+    fences: two widths of the middle half to each side of its middle.)
     """
     _, several, count = places.shape
     if count < FEW:
