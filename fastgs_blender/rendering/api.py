@@ -103,10 +103,11 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
     sharpen = partial(sharpened, instances=instances, camera=camera, settings=settings, backend=kernels, holdout=holdout, exposure=exposure)
     if drawn and sharp:
         middle = (instances, camera, holdout) if exposure is None else exposure.middle(instances, camera, holdout)
-        blended = sharpen(_blended(kernels, *middle[:2], needs, progress, settings, middle[2]), averaged=False)
+        blended = sharpen(partial(_blended, kernels, *middle[:2], needs, progress, settings, middle[2]), needs, averaged=False)
     if drawn and exposure is not None and len(sharp) < len(entries):
         needs = {part for entry in entries if entry not in sharp for part in entry.needs}
-        blurred = sharpen(_exposed(kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel), averaged=True)
+        draw = partial(_exposed, kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel)
+        blurred = sharpen(draw, needs, averaged=True)
     out = {}
     for entry in entries:
         source = blended if entry in sharp else blurred

@@ -17,6 +17,7 @@ a square of pixels as it differs in by no more than two steps: a sharp edge stay
 """
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any
@@ -24,7 +25,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import several
+from ..util.threads import beside, several
 from .colour import linear_to_srgb, scene_linear, straight
 from .exposure import Exposure
 from .instances import Instance, ViewedInstance
@@ -77,46 +78,52 @@ def on_edge(past: np.ndarray) -> np.ndarray:
     return (past > SHARP) & (past < 1 - SHARP)
 
 
-def sharpened(blended: Any, instances: list[ViewedInstance], camera: Camera, settings: Any, backend: Any,
+def sharpened(draw: Callable[[], Any], needs: set[str], instances: list[ViewedInstance], camera: Camera, settings: Any, backend: Any,
               holdout: np.ndarray | None, exposure: Exposure | None, averaged: bool) -> Any:
     """A picture (passes.Blended) of lit instances with sharp edges of meshes' shadows: its colours, and the sums of the passes that show
-    shadows.
+    shadows.  Edges are looked for while the picture is drawn.
 
+    draw      draws the picture, with what it needs
     settings  passes.PassSettings
     averaged  whether it is the average over the exposure; else it is its middle
     """
-    shadows = [[blended.sums.get(name + (f"_{level + 1}" if level else "")) for name in ("mesh_shadow", "lamp_shadow")]
-               for level in range(max((each.taken.numbers.shape[2] for each in instances if each.taken and each.taken.edges), default=0))]
-    coloured = blended.rgb is not None and any(each.settings.shadows > 0 for each in instances)
-    if not shadows or settings.light is None or (not coloured and all(sums is None for pair in shadows for sums in pair)):
-        return blended
+    lamps = max((each.taken.numbers.shape[2] for each in instances if each.taken and each.taken.edges), default=0)
+    names = [(name + (f"_{level + 1}" if level else ""), name, level) for level in range(lamps) for name in ("mesh_shadow", "lamp_shadow")]
+    wanted = [each for each in names if each[0] in needs] if not averaged else []
+    coloured = "rgb" in needs and any(each.settings.shadows > 0 for each in instances)
+    if not lamps or settings.light is None or not (coloured or wanted):
+        return draw()
     space = "srgb" if {each.model.colour_space for each in instances} == {"srgb"} else "linear"
     bright = [replace(each.taken.bright, taken=each.taken).viewed(camera) if each.taken else each for each in instances]
-    kinds = NUMBERS if any(lamp is not None for _, lamp in shadows) else NUMBERS - 1
-    draw = partial(_Drawn, light=settings.light, lamps=len(shadows), kinds=kinds, backend=backend, by_pixel=settings.by_pixel, space=space)
+    kinds = NUMBERS if any(name == "lamp_shadow" for _, name, _ in wanted) else NUMBERS - 1
+    around = partial(_Drawn, light=settings.light, lamps=lamps, kinds=kinds, backend=backend, by_pixel=settings.by_pixel, space=space)
     if not averaged or exposure is None:
-        drawn = draw(*((bright, camera, holdout) if exposure is None else exposure.middle(bright, camera, holdout)))
+        seen = (bright, camera, holdout) if exposure is None else exposure.middle(bright, camera, holdout)
+        drawn, blended = beside(lambda: around(*seen), draw)
         if not drawn.pixels:
             return blended
         at, sums, alpha = drawn.pixels, dict(blended.sums), blended.alpha[drawn.pixels][:, None]
-        for level, pair in enumerate(shadows):
-            for name, each in zip(("mesh_shadow", "lamp_shadow"), pair, strict=True):
-                if each is not None:
-                    now = drawn.past[:, level] * (1 if name == "mesh_shadow" else drawn.splats[:, level])
-                    name = name + (f"_{level + 1}" if level else "")
-                    sums[name] = each.copy()
-                    sums[name][at] += drawn.one[:, None] * (alpha * now[:, None] - each[at])
+        for name, kind, level in wanted:
+            now = drawn.past[:, level] * (1 if kind == "mesh_shadow" else drawn.splats[:, level])
+            sums[name] = sums[name].copy()
+            sums[name][at] += drawn.one[:, None] * (alpha * now[:, None] - sums[name][at])
         if not coloured:
             return replace(blended, sums=sums)
         before = scene_linear(blended.rgb[at], blended.alpha[at], space)
         return replace(blended, sums=sums, rgb=_changed(blended, at, before + drawn.one[:, None] * (drawn.light - before), space))
-    change, levels = np.zeros(blended.rgb.shape), min(exposure.levels, int(np.log2(MOST)))
-    for sample in exposure.samples(levels):
-        if sample.weights[levels]:
-            (moved, eye), (lit, _) = (exposure.scene(each, camera, sample.time, sample.point) for each in (bright, instances))
-            drawn = draw(moved, eye, exposure.holdout(holdout, sample.time))
-            if drawn.pixels:
-                change[drawn.pixels] += sample.weights[levels] * drawn.one[:, None] * (drawn.light - drawn.of(lit))
+
+    def samples() -> np.ndarray:
+        """The change of the average's light [h, w, 3]."""
+        change, levels = np.zeros((*camera.window[:1:-1], 3)), min(exposure.levels, int(np.log2(MOST)))
+        for sample in exposure.samples(levels):
+            if sample.weights[levels]:
+                (moved, eye), (lit, _) = (exposure.scene(each, camera, sample.time, sample.point) for each in (bright, instances))
+                drawn = around(moved, eye, exposure.holdout(holdout, sample.time))
+                if drawn.pixels:
+                    change[drawn.pixels] += sample.weights[levels] * drawn.one[:, None] * (drawn.light - drawn.of(lit))
+        return change
+
+    change, blended = beside(samples, draw)
     at = np.nonzero(change.any(-1))
     return replace(blended, rgb=_changed(blended, at, scene_linear(blended.rgb[at], blended.alpha[at], space) + change[at], space))
 

@@ -23,6 +23,7 @@ _chosen = 0
 _here = threading.local()
 """busy: whether all threads have pieces of the work that this one is a part of."""
 Result = TypeVar("Result")
+Other = TypeVar("Other")
 
 
 def set_threads(count: int) -> None:
@@ -111,6 +112,16 @@ def several(work: Callable[..., Result], pieces: Sequence[tuple]) -> Iterator[Re
     """The results of work(*piece) one after the other; some pieces are worked on side by side before their results are asked for."""
     for first, last in ranges(len(pieces), AHEAD * thread_count()):
         yield from run(work, pieces[first:last])
+
+
+def beside(work: Callable[[], Result], other: Callable[[], Other]) -> tuple[Result, Other]:
+    """The results of two calls, either of which may use run(): the first has a thread of its own, where there are several."""
+    if thread_count() == 1:
+        return work(), other()
+    with ThreadPoolExecutor(1) as pool:
+        task = pool.submit(work)
+        there = other()
+        return task.result(), there
 
 
 def gathered(works: Sequence[Callable[[], Result]], tick: Callable[[], None], most: int = 4) -> list[Result]:

@@ -83,3 +83,13 @@ def test_a_product_in_pieces_is_the_product(length):
         for right in (columns, np.ascontiguousarray(columns.T).T, columns.astype(np.float32)):
             found = threads.product(left, right)
             assert found.dtype == np.float64 and np.abs(found - left @ right).max(initial=0) < 1e-12
+
+
+def test_two_calls_side_by_side_give_both_results_and_either_failure(count):
+    def work():
+        return threads.run(lambda k: k * k, [(k,) for k in range(9)])
+
+    assert threads.beside(work, lambda: "other") == ([k * k for k in range(9)], "other")
+    for pair in ((lambda: 1 // 0, work), (work, lambda: 1 // 0)):
+        with pytest.raises(ZeroDivisionError):
+            threads.beside(*pair)
