@@ -107,6 +107,11 @@ class PictureBackend(Protocol):
         """Of Gaussians at places [3, P] with axes [3, 3, P]: their standard deviations [P] along the lines to a place [3] (parallel: along
         a direction), and places [3, S, P] on them, by shares `within` [S, 2] of their two longest axes, of the shorter one first."""
 
+    def painted(self, instance: ViewedInstance, index: np.ndarray, places: np.ndarray, light: np.ndarray, unlit: np.ndarray | None,
+                drops: bool) -> tuple[list[np.ndarray], np.ndarray]:
+        """Features [M, F] with which the Gaussians index [M], at places [M, 3] in the model's space, look in a light [L, 4, 3, M] as
+        relight.py says, times unlit [M, 3] or 1; if meshes drop shadows, also those without these, and Taken.numbers [M, 5, L]."""
+
     def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and which of these have light left before
         them in a pixel, [V] bool.  It is an estimate."""
@@ -228,10 +233,8 @@ class TrainingBackend(PictureBackend, Protocol):
         """
 
     def over(self, picture: ForwardPass, background: np.ndarray | None) -> tuple[Array, Array]:
-        """A picture [h, w, 3] over its background, and its alpha [h, w], as end_step() brings them back (training/core/camera_turns.py).
-
-        background  [3] on the host, or None for black
-        """
+        """A picture [h, w, 3] over its background, [3] on the host or None for black, and its alpha [h, w], as end_step() brings them back
+        (training/core/camera_turns.py)."""
 
     def backward(self, picture: ForwardPass, rgb: Array | None, alpha: Array | None = None, depth: Array | None = None, *,
                  into: dict[str, Array] | None = None, statistics: ScreenStatistics | None = None, emphasis: Array | None = None,
@@ -320,8 +323,7 @@ class TrainingBackend(PictureBackend, Protocol):
         above twice `near`, at a cost below `sure`, it sees through the point and is against."""
 
     def resample(self, image: np.ndarray, positions: np.ndarray) -> np.ndarray:
-        """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y in its pixels, centres at +0.5):
-        [h, w, C]; 0 outside."""
+        """image [H, W, C] uint8 or float32 at positions [h, w, 2] float32 (x, y, pixels' centres at +0.5): [h, w, C]; 0 outside."""
 
     # for measurements
 
@@ -365,10 +367,8 @@ class SurfaceBackend(Protocol):
         """
 
     def places(self, position: np.ndarray, motion: np.ndarray, weights: np.ndarray, wanted: np.ndarray, out: np.ndarray) -> None:
-        """Write the places of the wanted [N] Gaussians into out [N, 3] float64: position [N, 3] + sum_k weights_k motion [N, K, 3].
-
-        weights [1, K], or [N, K] if each Gaussian has its own
-        """
+        """Write the places of the wanted [N] Gaussians into out [N, 3] float64: position [N, 3] + sum_k weights_k motion [N, K, 3], with
+        weights [1, K], or [N, K] if each Gaussian has its own."""
 
     def weighted_sums(self, values: np.ndarray, number: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """Sums [V, D] of values [N, D] of numbers [V, k] with weights [V, k], float64."""
@@ -377,10 +377,8 @@ class SurfaceBackend(Protocol):
         """The shares [V] of opacities that are left: those of Gaussians [N], as far as not above those before [V, k], by these."""
 
     def smoothed(self, values: np.ndarray, first: np.ndarray, other: np.ndarray, rounds: int, share: float) -> np.ndarray:
-        """Values [V, D] float64 of which, so many times, a share is replaced by the mean of the neighbours'.
-
-        first [V + 1], other: the neighbours of v are other[first[v]:first[v + 1]]; where there are none, their mean counts as 0
-        """
+        """Values [V, D] float64 of which, so many times, a share is replaced by the mean of the neighbours': those of v are
+        other[first[v]:first[v + 1]], of first [V + 1]; where there are none, their mean counts as 0."""
 
 
 class Light(Protocol):

@@ -24,6 +24,7 @@ from .instances import LIMIT, ViewedInstance
 from .layout import CORE, DEPTH_FROM, PROBES, REST, Buffers, ChannelGroup, Exposed, Layout
 from .looks import Look, graded, size_factor
 from .normals import thinnest
+from .painting import painted
 from .passing import past_splats, past_triangles, view_box
 from .quantities import Shown, posed, shares
 from .spots import spread
@@ -351,7 +352,7 @@ class Oracle:
         return [(np.sort(order_in_numpy([each], camera)).astype(np.int64), np.array(True)) for each in instances]
 
     past_triangles, view_box = staticmethod(past_triangles), staticmethod(view_box)
-    posed, thinnest, spread = staticmethod(posed), staticmethod(thinnest), staticmethod(spread)
+    posed, thinnest, spread, painted = staticmethod(posed), staticmethod(thinnest), staticmethod(spread), staticmethod(painted)
     front_to_back = staticmethod(order_in_numpy)
 
 

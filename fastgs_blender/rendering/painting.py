@@ -1,8 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The colours of an instance's Gaussians as its camera sees them, and the features with which they have other ones."""
+"""The colours of an instance's Gaussians as its camera sees them, and the features with which they have those of a light."""
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -31,27 +30,40 @@ def seen_colours(instance: ViewedInstance, index: np.ndarray, places: np.ndarray
     return features, appearance.seen(features, ray)
 
 
-def painted(instance: ViewedInstance, index: np.ndarray, gains: Sequence[np.ndarray],
-            places: np.ndarray) -> tuple[Appearance, list[np.ndarray]]:
-    """The features [M, F] with which the Gaussians `index` of an instance, at places [M, 3] in the model's space, have their colours times
-    gains [M, 3], scene linear, as its camera sees them: one for each of the gains; and what makes colours of them."""
-    model, appearance = instance.model, momentary(instance.model.appearance)
-    unit = SH_C0 if isinstance(appearance, SH) else 1.0
-    if isinstance(appearance, Features):
-        bare = replace(appearance, activation="none")
-        features, before = seen_colours(replace(instance, model=replace(model, appearance=bare)), index, places)
-        appearance, colour = bare, appearance.activated(before)
-    else:
-        features, colour = seen_colours(instance, index, places)
-        before = colour
+def shares_of(bare: np.ndarray, left: np.ndarray) -> np.ndarray:
+    """Which share [L, M] of the irradiance of lamps [L, 3, M], by channel, is left; 1 where there is none."""
+    bare, left = bare.mean(1), left.mean(1)
+    return np.divide(left, bare, out=np.ones_like(bare), where=bare > 1e-12)
+
+
+def bare(appearance: Appearance) -> Appearance:
+    """What makes colours of the features that painted() gives."""
+    appearance = momentary(appearance)
+    return replace(appearance, activation="none") if isinstance(appearance, Features) else appearance
+
+
+def painted(instance: ViewedInstance, index: np.ndarray, places: np.ndarray, light: np.ndarray, unlit: np.ndarray | None,
+            drops: bool) -> tuple[list[np.ndarray], np.ndarray]:
+    """PictureBackend.painted() in NumPy."""
+    model, settings, appearance = instance.model, instance.settings, momentary(instance.model.appearance)
+    nothing, meshes, all_, splats = light.sum(0)
+    most, captured, shadows = np.maximum(nothing, 1e-12), settings.captured_light, settings.shadows
+    past = np.where(nothing > 1e-12, meshes / most, 1)
+    lamps = settings.lamp_light / np.pi * (1 if unlit is None else unlit.T)
+    free = captured + lamps * (nothing - shadows * (nothing - splats))
+    gain = captured * (1 - shadows * (1 - past)) + lamps * (nothing - shadows * (nothing - all_))
+    features, before = seen_colours(replace(instance, model=replace(model, appearance=bare(model.appearance)))
+                                    if isinstance(appearance, Features) else instance, index, places)
+    colour = appearance.activated(before) if isinstance(appearance, Features) else before
     linear, out = colour if model.colour_space == "linear" else srgb_to_linear(np.maximum(colour, 0)), list[np.ndarray]()
-    for gain in gains:
-        rows = np.flatnonzero((gain != gains[0]).any(1)) if out else slice(None)
-        seen = linear[rows] * gain[rows].astype(np.float32)
-        own = features[rows, :3] + ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before[rows]) / np.float32(unit)
-        out.append((out or [features])[0].copy())
-        out[-1][rows, :3] = own
-    return appearance, out
+    for each in (gain, free)[:1 + drops]:
+        seen = linear * each.T.astype(np.float32)
+        out.append(features.copy())
+        out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / np.float32(
+            SH_C0 if isinstance(appearance, SH) else 1.0)
+    takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
+    numbers = np.concatenate([takes, *(shares_of(light[:, 0], light[:, stage])[:, None] for stage in (1, 3))], 1).T
+    return out, numbers.astype(np.float32)[:len(index) * drops]
 
 
 def _rays(instance: ViewedInstance, index: np.ndarray, places: np.ndarray | None) -> np.ndarray:

@@ -29,9 +29,9 @@ from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
 from .lamps import Lamp
 from .normals import smooth_normals
-from .painting import painted
+from .painting import bare
 from .quantities import Shown
-from .shading import shading_of, shares_of
+from .shading import shading_of
 from .shadow_edges import Taken, on_edge
 from .spots import Spots, evenly
 from .unlit import captured_light
@@ -173,29 +173,19 @@ def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:
 def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, backend: Any) -> Instance:
     """An instance with the colours that its surface has in a light [L, 4, 3, M] (SceneLight._arriving), if it takes light; drops: whether
     meshes throw shadows."""
-    settings = instance.settings
-    bare, meshes, all_, splats = light[0] if len(light) == 1 else light.sum(0)
-    most, captured, shadows = np.maximum(bare, 1e-12), settings.captured_light, settings.shadows
-    past = np.where(bare > 1e-12, meshes / most, 1)
-    lamps = settings.lamp_light / np.pi * surface.unlit(settings.unlit, backend).T
-    free = captured + lamps * (bare - shadows * (bare - splats))
-    gain = captured * (1 - shadows * (1 - past)) + lamps * (bare - shadows * (bare - all_))
+    colours, numbers = backend.painted(surface.instance, surface.index, surface.local, light,
+                                       surface.unlit(instance.settings.unlit, backend), drops)
     out = bright = instance
-    if settings.takes_light:
-        appearance, features = painted(surface.instance, surface.index, [np.ascontiguousarray(each.T) for each in (gain, free)[:1 + drops]],
-                                       surface.local)
-        out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=appearance),
+    if instance.settings.takes_light:
+        out, *rest = (replace(instance, model=replace(instance.model, features=each, appearance=bare(instance.model.appearance)),
                               origin=instance.source, painted=True)
-                      for each in features)
+                      for each in colours)
         bright = rest[0] if drops else out
     if not drops:
         return out
-    of_meshes, of_splats = (shares_of(light[:, 0], light[:, stage]) for stage in (1, 3))
-    takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
-    numbers = np.concatenate([takes, of_meshes[:, None], of_splats[:, None]], 1).T.astype(np.float32)
     along = product(surface.instance.camera.world_to_camera[2, :3], surface.axes.reshape(3, -1)).reshape(3, -1)
     wide = np.sqrt((along * along).sum(0))
-    return replace(out, taken=Taken(bright, numbers, surface.normal.T, wide, bool(on_edge(of_meshes).any())))
+    return replace(out, taken=Taken(bright, numbers, surface.normal.T, wide, bool(on_edge(numbers[:, 3]).any())))
 
 
 class _Surface:
@@ -215,10 +205,10 @@ class _Surface:
         self.axes = product(instance.placement[:3, :3], axes.reshape(3, -1)).reshape(axes.shape)
         self.normal = smooth_normals(shown, backend, rows).T.astype(np.float32)
 
-    def unlit(self, share: float, backend: Any) -> np.ndarray:
-        """Factors [M, 3], or [1, 3] for all, from captured colour to a mixture of it and the estimated unlit one."""
+    def unlit(self, share: float, backend: Any) -> np.ndarray | None:
+        """Factors [M, 3] from captured colour to a mixture of it and the estimated unlit one, of which it has a share; None: 1."""
         if not share:
-            return np.ones((1, 3), np.float32)  # float32 as the light: half of the work
+            return None
         normal = self.normal.T @ self.instance.placement[:3, :3]
         normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-30)
         return 1 + share * (captured_light(self.instance.source, backend).unlit(normal) - 1)

@@ -12,7 +12,7 @@ from .colour import linear_to_srgb, srgb_to_linear
 from .instances import ViewedInstance
 from .looks import graded
 from .normals import smooth_normals
-from .painting import seen_colours
+from .painting import seen_colours, shares_of
 from .quantities import Quantity, Shown
 from .unlit import captured_light
 
@@ -40,12 +40,6 @@ def shading_of(arriving: np.ndarray, contact: np.ndarray) -> Shading:
     """
     lights = (arriving[:, 0] / np.pi).transpose(0, 2, 1)
     return Shading(lights, shares_of(arriving[:, 0], arriving[:, 1]), shares_of(arriving[:, 0], arriving[:, 2]), contact)
-
-
-def shares_of(bare: np.ndarray, left: np.ndarray) -> np.ndarray:
-    """Which share [L, M] of the irradiance of lamps [L, 3, M], by channel, is left; 1 where there is none."""
-    bare, left = bare.mean(1), left.mean(1)
-    return np.divide(left, bare, out=np.ones_like(bare), where=bare > 1e-12)
 
 
 def shaded(width: int, of: Callable[[Shading], np.ndarray], without: float) -> Quantity:

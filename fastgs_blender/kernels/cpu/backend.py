@@ -9,7 +9,7 @@ from functools import reduce
 import numpy as np
 
 from ...rendering.layout import Buffers, Layout
-from . import carrying, carving, initial, light, nearest, passing, posing, resample, spots, steps, thinnest, training, visible
+from . import carrying, carving, initial, light, nearest, painting, passing, posing, resample, spots, steps, thinnest, training, visible
 from .decoder import Decoder, decode_features
 from .expose import expose
 from .holdout import surface
@@ -75,6 +75,7 @@ class CPU:
     view_box = staticmethod(passing.view_box)
     past_splats, past_triangles = staticmethod(passing.past_splats), staticmethod(passing.past_triangles)
     contributing, spread = staticmethod(light.contributing), staticmethod(spots.spread)
+    painted = staticmethod(painting.painted)
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):

@@ -13,8 +13,8 @@ from fastgs_blender.training.core.statistics import Statistics
 from fastgs_blender.util.backends import load_backend
 
 METHODS = frozenset(name for name in dir(TrainingBackend) if not name.startswith("_"))
-ON_HOST = {"numpy", "read", "begin_step", "end_step", "front_to_back", "thinnest", "spread", "view_box", "posed", "contributing",
-           "nearest", "project_points", "sweep", "vote", "resample", "measure_stages"}
+ON_HOST = {"numpy", "read", "begin_step", "end_step", "front_to_back", "thinnest", "spread", "painted", "view_box", "posed",
+           "contributing", "nearest", "project_points", "sweep", "vote", "resample", "measure_stages"}
 """Methods whose results are NumPy's."""
 
 
