@@ -11,6 +11,7 @@ import numpy as np
 
 from ..util.arguments import finite, in_words, numbers, one_of, shown
 from ..util.errors import FastGSError
+from ..util.threads import taken
 from .appearance import APPEARANCES, RGB, Appearance
 from .basis import MAX_TERMS
 from .motion import Basis, Static
@@ -187,8 +188,10 @@ class GaussianModel:
             if isinstance(chosen, np.ndarray) and (chosen.ndim != 1 or chosen.dtype.kind not in "biu"):
                 raise IndexError
             numbers = isinstance(chosen, np.ndarray) and chosen.dtype != bool
-            rows = (lambda a: np.take(a, chosen, 0)) if numbers else (lambda a: a[chosen])  # of short rows four times as fast
-            return replace(self, **{name: rows(a) for name, a in self.arrays.items()}, parts=self.parts.take(chosen))
+            arrays = list(self.arrays.values())
+            rows = taken(arrays, chosen) if numbers else [a[chosen] for a in arrays]  # short rows are taken four times as fast
+            fields: dict[str, Any] = dict(zip(self.arrays, rows, strict=True))
+            return replace(self, **fields, parts=self.parts.take(chosen))
         except (IndexError, TypeError) as error:
             raise FastGSError(f"Gaussians are chosen by a slice, by numbers from 0 to {len(self) - 1} or by a mask [{len(self)}], not by"
                               f" {shown(index)}.") from error

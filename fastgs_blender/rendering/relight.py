@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import product, several
+from ..util.threads import product, several, taken
 from .contact import contact
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
@@ -137,7 +137,7 @@ class SceneLight:
             alike, full = np.zeros((4, len(rows)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
             looks = [(k, *each) for k in range(len(colour)) for each in zip(sides, parts)]
             through = several(lambda k, side, part, ways=ways, lamp=lamp: self._through(ways, lamp, k, side, part, backend), looks)
-            for k, share in enumerate(np.take(shares, rows, 1)):
+            for k, share in enumerate(taken([shares], rows, -1)[0]):
                 for begin, end in pairwise(ends):
                     (meshes, splats), arrived = next(through), share[begin:end]
                     for sums, let in zip(alike[:, begin:end], (1, meshes, meshes * splats, splats), strict=True):
@@ -200,8 +200,8 @@ class _Surface:
         index, marks = (every, np.array(True)) if shows is None else shows
         shown, rows = Shown(instance, index, backend), np.flatnonzero(np.broadcast_to(marks, index.shape))
         self.instance, self.index = instance, shown.index[rows]
-        self.local, self.position = np.take(shown.position, rows, 0), np.take(shown.world.T, rows, 1)
-        axes = np.take(shown.axes, rows, -1)
+        local, self.position, axes = taken((shown.position.T, shown.world.T, shown.axes), rows, -1)
+        self.local = local.T
         self.axes = product(instance.placement[:3, :3], axes.reshape(3, -1)).reshape(axes.shape)
         self.normal = smooth_normals(shown, backend, rows).T.astype(np.float32)
 

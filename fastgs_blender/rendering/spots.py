@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 
+from ..util.threads import taken
 from .exposure import PLASTIC
 from .instances import ObjectSettings
 
@@ -50,7 +51,7 @@ class Spots:
 
     def part(self, rows: np.ndarray) -> Spots:
         """Some of the spots, in an order."""
-        position, normal, axes = (np.take(each, rows, -1) for each in (self.position, self.normal, self.axes))
+        position, normal, axes = taken((self.position, self.normal, self.axes), rows, -1)
         return Spots(position, normal, axes, self.owner[rows], self.settings)
 
     def lit_by(self, lamp: str) -> np.ndarray:

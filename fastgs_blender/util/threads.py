@@ -148,8 +148,29 @@ def product(left: np.ndarray, right: np.ndarray) -> np.ndarray:
     For long ones OpenBLAS takes threads of its own.  These go on spinning, so that a frame takes up to twice the processors' time.
     """
     out = np.empty((*left.shape[:-1], right.shape[1]), np.result_type(left, right))
-    for first, last in ranges(right.shape[1], PIECE):
-        np.matmul(left, right[:, first:last], out=out[..., first:last])
+
+    def columns(begin: int, end: int) -> None:
+        for first, last in ranges(end - begin, PIECE):
+            np.matmul(left, right[:, begin + first:begin + last], out=out[..., begin + first:begin + last])
+
+    run(columns, ranges(right.shape[1], 4 * PIECE))
+    return out
+
+
+def taken(arrays: Sequence[np.ndarray], index: np.ndarray, axis: int = 0) -> list[np.ndarray]:
+    """np.take() of each of several arrays along their first (0) or their last (-1) axis, which has the same size in all."""
+    size = arrays[0].shape[axis]
+    if (axis and not all(array.flags.c_contiguous for array in arrays)) or (len(index) and not 0 <= index.min() <= index.max() < size):
+        return [np.take(array, index, axis) for array in arrays]  # which says what is wrong
+    out = [np.empty((*array.shape[:-1], len(index)) if axis else (len(index), *array.shape[1:]), array.dtype) for array in arrays]
+    rows = [pair for array, into in zip(arrays, out, strict=True) if into.size for pair in (
+        zip(array.reshape(-1, size), into.reshape(-1, len(index)), strict=True) if axis else [(array, into)])]
+
+    def piece(first: int, last: int) -> None:
+        for array, into in rows:
+            np.take(array, index[first:last], 0, into[first:last], "clip")  # of all modes the one that writes there at once
+
+    run(piece, ranges(len(index), 4 * PIECE))
     return out
 
 

@@ -93,3 +93,17 @@ def test_two_calls_side_by_side_give_both_results_and_either_failure(count):
     for pair in ((lambda: 1 // 0, work), (work, lambda: 1 // 0)):
         with pytest.raises(ZeroDivisionError):
             threads.beside(*pair)
+
+
+def test_rows_are_taken_as_numpy_takes_them(count):
+    rng = np.random.default_rng(2)
+    index = rng.permutation(20_000)
+    arrays = [rng.normal(size=(20_000, 3)), rng.normal(size=(20_000, 0, 4)), rng.normal(size=20_000)]
+    for chosen in (index, index[:0]):
+        for got, array in zip(threads.taken(arrays, chosen), arrays, strict=True):
+            assert np.array_equal(got, array[chosen]) and got.shape == array[chosen].shape
+        columns = [arrays[2], arrays[0].T, np.ascontiguousarray(arrays[0].T)]
+        assert all(np.array_equal(got, array[..., chosen]) for got, array in zip(threads.taken(columns, chosen, -1), columns, strict=True))
+    assert np.array_equal(threads.taken(arrays[2:], np.array([-1, 3]))[0], arrays[2][[-1, 3]])
+    with pytest.raises(IndexError):
+        threads.taken(arrays, np.array([0, 20_000]))
