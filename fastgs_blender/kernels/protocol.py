@@ -116,14 +116,15 @@ class PictureBackend(Protocol):
         """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and which of these have light left before
         them in a pixel, [V] bool.  It is an estimate."""
 
-    def thinnest(self, places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float,
+    def thinnest(self, places: np.ndarray, axes: np.ndarray, opacity: np.ndarray, reach: float, towards: np.ndarray, turn: np.ndarray,
                  rows: np.ndarray | None = None) -> np.ndarray:
-        """Unit vectors [N, 3], of either sign, along which the Gaussians around each Gaussian spread least; see rendering/normals.py.
+        """Normals [N, 3]: along them the Gaussians around each Gaussian spread least; see rendering/normals.py.
 
-        places   [N, 3] float64
-        axes     [3, 3, N] float64, as posed() has them
-        weights  [N] float64, at a distance d multiplied by (1 - d^2 / reach^2)^2
-        reach    no Gaussian farther away counts
+        places, axes  [N, 3] and [3, 3, N] float64, as posed() has them; no Gaussian farther away than `reach` counts
+        opacity  [N] float64.  A Gaussian weighs it times longest (middle - shortest) of its axes' lengths, at a distance d multiplied by
+                 (1 - d^2 / reach^2)^2
+        towards  [4] a place (x, y, z, 1) to which normals n look, or a direction (x, y, z, 0)
+        turn     [3, 3]: what is returned is turn @ n, of length 1
         rows     [M] those that are asked for, for [M, 3]; None: all
         """
 

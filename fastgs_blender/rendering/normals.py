@@ -28,6 +28,7 @@ AGREE = 0.7
 FACE = 1.0
 """Edge of the cells in which a surface's normals are looked up, in square roots of its mean area of a face."""
 LEAST = 1e-12
+"""Weight of a Gaussian, at least, in squares of the reach."""
 
 
 def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -> np.ndarray:
@@ -39,18 +40,16 @@ def smooth_normals(shown: Shown, backend: Any, rows: np.ndarray | None = None) -
     instance, index = shown.instance, shown.index
     if not len(index):
         return np.zeros((0, 3))
-    a, b, c = np.sqrt(np.einsum("ikm,ikm->km", shown.axes, shown.axes))
-    least, most = np.minimum(a, b), np.maximum(a, b)
-    least, middle, most = np.minimum(least, c), np.maximum(least, np.minimum(most, c)), np.maximum(most, c)
-    opacity = opacities_at(instance.model, instance.t, index)
-    weight = opacity * (opacity >= instance.model.raster.alpha_cut) * (1 - least / middle) * middle * most
+    opacity, to_model = opacities_at(instance.model, instance.t, index), instance.camera_to_model
+    opacity = opacity * (opacity >= instance.model.raster.alpha_cut)
     if len(instance.hidden):
-        weight = weight * ~instance.hidden[index]
-    weight = np.maximum(weight / max(weight.max(), LEAST), LEAST)
-    found = backend.thinnest(shown.position, shown.axes, weight, REACH * _length(instance.source), rows)
-    world = shown.world if rows is None else np.take(shown.world, rows, 0)
-    normal = shown.as_normals(found, world)
-    return normal if instance.surface is None else _of_surface(instance.surface, world, normal)
+        opacity = opacity * ~instance.hidden[index]
+    towards = np.array([*-to_model[:3, 2], 0.0] if instance.camera.orthographic else to_model[:, 3])
+    normal = backend.thinnest(shown.position, shown.axes, opacity, REACH * _length(instance.source), towards,
+                              np.linalg.pinv(instance.placement[:3, :3]).T, rows)
+    if instance.surface is None:
+        return normal
+    return _of_surface(instance.surface, shown.world if rows is None else np.take(shown.world, rows, 0), normal)
 
 
 @kept
@@ -70,9 +69,12 @@ def normal(instances: list[ViewedInstance], backend: Any) -> Quantity:
     return Quantity(3, lambda shown: found[shown.instance][shown.index])
 
 
-def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
+def thinnest(places: np.ndarray, axes: np.ndarray, opacity: np.ndarray, reach: float, towards: np.ndarray, turn: np.ndarray,
+             rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest() in NumPy."""
     square, asked = np.einsum("ikn,jkn->nij", axes, axes), places if rows is None else places[rows]
+    least, middle, most = np.sort(np.sqrt((axes * axes).sum(0)), 0)
+    weights = np.maximum(opacity * (middle - least) * most / reach**2, LEAST)
     out = np.zeros((len(asked), 3))
     for p, place in enumerate(asked):
         away = places - place
@@ -80,8 +82,9 @@ def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: f
         w = w / w.sum()
         mean = w @ away
         moments = np.einsum("n,nij->ij", w, square + away[:, :, None] * away[:, None])
-        out[p] = np.linalg.eigh(moments - np.outer(mean, mean))[1][:, 0]
-    return out
+        axis = np.linalg.eigh(moments - np.outer(mean, mean))[1][:, 0]
+        out[p] = turn @ axis * np.copysign(1, axis @ (towards[:3] - towards[3] * place))
+    return out / np.maximum(np.linalg.norm(out, axis=1, keepdims=True), 1e-30)
 
 
 def _of_surface(triangles: np.ndarray, places: np.ndarray, normal: np.ndarray) -> np.ndarray:

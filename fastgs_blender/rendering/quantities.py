@@ -63,17 +63,6 @@ class Shown:
         """[3, 3, M]: the Gaussians' axes in the model's space, as columns, each as long as its standard deviation."""
         return self._posed[2]
 
-    def as_normals(self, axes: np.ndarray, world: np.ndarray) -> np.ndarray:
-        """Directions [M, 3] in the model's space, at places [M, 3] in the world, as unit normals [M, 3] there, turned to the camera.
-
-        Normals are transformed by the inverse of the placement's transpose.
-        """
-        normal = product(np.linalg.pinv(self.instance.placement[:3, :3]).T, axes.T)
-        normal /= np.maximum(np.sqrt(np.einsum("im,im->m", normal, normal)), 1e-30)
-        to_world = np.linalg.pinv(self.instance.camera.world_to_camera)
-        towards = -to_world[:3, 2:3] if self.instance.camera.orthographic else to_world[:3, 3:] - world.T
-        return (normal * np.copysign(1, np.einsum("im,im->m", normal, np.broadcast_to(towards, normal.shape)))).T
-
     def pixels(self, instance: ViewedInstance) -> tuple[np.ndarray, np.ndarray]:
         """The same Gaussians of another instance of the model in its camera's picture: their centres [M, 2], and their standard deviations
         along their own axes [M, 2, 3], in pixels."""

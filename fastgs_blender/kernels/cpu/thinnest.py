@@ -15,10 +15,13 @@ from numba.core import cgutils, types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
 
+from ...rendering.normals import LEAST
 from ...util.threads import ranges, run
 from .. import asserts
 from . import simd
 from .jit import inline, kernel
+from .passing import view_box
+from .sort import order_by
 
 SWEEPS = 4
 """Of Jacobi's rotations; a matrix of three rows is then diagonal to rounding."""
@@ -36,20 +39,23 @@ SUMS = 10
 """Of the weights, the places (3) and the moments (6) around each Gaussian."""
 
 
-def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: float, rows: np.ndarray | None = None) -> np.ndarray:
+def thinnest(places: np.ndarray, axes: np.ndarray, opacity: np.ndarray, reach: float, towards: np.ndarray, turn: np.ndarray,
+             rows: np.ndarray | None = None) -> np.ndarray:
     """PictureBackend.thinnest()."""
-    asserts.thinnest(places, axes, weights)
+    asserts.thinnest(places, axes, opacity, towards, turn)
     out = np.zeros((len(places) if rows is None else len(rows), 3))
     if not len(out):
         return out
-    cells = [np.floor(axis / reach) for axis in places.T]
-    x, y, z = (np.minimum(axis - axis.min(), FARTHEST).astype(np.int64) for axis in cells)
-    wide, deep = y.max() + 3, z.max() + 3  # an empty cell at either end, so that every cell has neighbours
-    key = (x * wide + y) * deep + z
-    beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
-    order = np.argsort(key, kind="stable")
+    places, key = np.ascontiguousarray(places.T), np.empty(len(places), np.int64)
+    low, high = np.floor(view_box(places, np.eye(3, 4), True) / reach)
+    across, wide, deep = (int(most) + 3 for most in np.minimum(high - low, FARTHEST))  # an empty cell at either end: all have neighbours
+    run(lambda begin, end: _cells(begin, end, places, reach, low, wide, deep, key), ranges(len(key), CHUNK))
+    if across * wide * deep < 1 << 32:
+        order = order_by(key.astype(np.uint32).view(np.float32), np.arange(len(key), dtype=np.int32))
+    else:
+        order = np.argsort(key, kind="stable")
     about, sorted_, key = np.empty((len(order), 7), np.float32), np.empty((len(order), 3)), key[order]
-    rest = order, np.ascontiguousarray(places), np.ascontiguousarray(axes), weights, about, sorted_
+    rest = order, places, np.ascontiguousarray(axes), opacity, float(reach), about, sorted_
     run(lambda begin, end: _sorted(begin, end, *rest), ranges(len(order), CHUNK))
     who, into = np.arange(len(order)), order
     if rows is not None:
@@ -57,20 +63,32 @@ def thinnest(places: np.ndarray, axes: np.ndarray, weights: np.ndarray, reach: f
         number[rows] = np.arange(len(rows))
         who = np.flatnonzero(number[order] >= 0)
         into = number[order[who]]
-    runs = np.floor(cells[2] / RUN)
-    lines = (key // deep * (deep // RUN + 2) + (np.clip(runs - runs.min(), 0, FARTHEST)[order]).astype(np.int64))[who]
-    args = sorted_, about, key, lines, who, beside, float(reach), into, out
+    beside = (np.arange(-1, 2)[:, None] * wide + np.arange(-1, 2)).ravel() * deep
+    args = sorted_, about, key, who, beside, float(reach), towards, np.ascontiguousarray(turn), into, out
     run(lambda begin, end: _thinnest(begin, end, *args), ranges(len(who), CHUNK))
     return out
 
 
 @kernel
-def _sorted(begin, end, order, places, axes, weights, about, sorted_):
+def _cells(begin, end, places, reach, low, wide, deep, key):
+    """The numbers of the cells of the Gaussians begin..end, row by row."""
+    for n in range(begin, end):
+        x, y, z = math.floor(places[0, n] / reach), math.floor(places[1, n] / reach), math.floor(places[2, n] / reach)
+        x, y, z = min(x - low[0], FARTHEST), min(y - low[1], FARTHEST), min(z - low[2], FARTHEST)
+        key[n] = (np.int64(x) * wide + np.int64(y)) * deep + np.int64(z)
+
+
+@kernel
+def _sorted(begin, end, order, places, axes, opacity, reach, about, sorted_):
     """The Gaussians order[begin:end], one after another: their weights and covariances, in about [N, 7], and their places [N, 3]."""
+    size = np.empty(3)
     for k in range(begin, end):
         n = order[k]
-        about[k, 0] = weights[n]
-        sorted_[k, 0], sorted_[k, 1], sorted_[k, 2] = places[n, 0], places[n, 1], places[n, 2]
+        for i in range(3):
+            sorted_[k, i], size[i] = places[i, n], math.sqrt(axes[0, i, n] ** 2 + axes[1, i, n] ** 2 + axes[2, i, n] ** 2)
+        least, most = min(size[0], size[1], size[2]), max(size[0], size[1], size[2])
+        middle = max(min(max(size[0], size[1]), size[2]), min(size[0], size[1]))
+        about[k, 0] = max(opacity[n] * (middle - least) * most / (reach * reach), LEAST)
         column = 1
         for i in range(3):
             for j in range(i, 3):
@@ -110,22 +128,19 @@ def weigh8(context, state, about, places, first, last, x, y, z, square):
 
 
 @kernel
-def _thinnest(begin, end, places, about, keys, lines, who, beside, reach, into, out):
-    """The directions around the Gaussians who[begin:end] of those sorted by keys, in out at their places `into`.
-
-    lines [len(who)]: equal for those whose places are told from one corner
-    """
+def _thinnest(begin, end, places, about, keys, who, beside, reach, towards, turn, into, out):
+    """The normals of the Gaussians who[begin:end] of those sorted by keys, in out at their places `into`."""
     state, c, v = np.empty((3 + SUMS, simd.LANES), np.float32), np.empty((3, 3)), np.empty((3, 3))
     first, last = np.empty(9, np.int64), np.empty(9, np.int64)
     for row in range(9):
         first[row] = last[row] = np.searchsorted(keys, keys[who[begin]] + beside[row] - 1)
-    square, p = float32(1.0 / (reach * reach)), begin
+    square, deep, p = float32(1.0 / (reach * reach)), beside[5] - beside[4], begin
     while p < end:
-        q = p + 1
-        while q < end and q < p + simd.LANES and lines[q] == lines[p]:
-            q += 1
         x, y = math.floor(places[who[p], 0] / reach) * reach, math.floor(places[who[p], 1] / reach) * reach
-        z = math.floor(places[who[p], 2] / (RUN * reach)) * (RUN * reach)
+        line, z = keys[who[p]] // deep, math.floor(places[who[p], 2] / (RUN * reach)) * (RUN * reach)
+        q = p + 1
+        while q < end and q < p + simd.LANES and keys[who[q]] // deep == line and z <= places[who[q], 2] < z + RUN * reach:
+            q += 1
         for j in range(simd.LANES):
             k = who[min(p + j, q - 1)]
             state[0, j], state[1, j], state[2, j] = places[k, 0] - x, places[k, 1] - y, places[k, 2] - z
@@ -139,7 +154,7 @@ def _thinnest(begin, end, places, about, keys, lines, who, beside, reach, into, 
                 last[row] += 1
             weigh8(state, about, places, first[row], last[row], x, y, z, square)
         for k in range(p, q):
-            j = k - p
+            j, at = k - p, into[k]
             total = max(np.float64(state[3, j]), 1e-30)
             sx, sy, sz = state[4, j] / total, state[5, j] / total, state[6, j] / total
             xx, xy, xz = state[7, j] / total - sx * sx, state[8, j] / total - sx * sy, state[9, j] / total - sx * sz
@@ -152,7 +167,14 @@ def _thinnest(begin, end, places, about, keys, lines, who, beside, reach, into, 
                 i = 1 if c[1, 1] < c[0, 0] else 0
                 i = 2 if c[2, 2] < c[i, i] else i
                 x0, y0, z0 = v[0, i], v[1, i], v[2, i]
-            out[into[k], 0], out[into[k], 1], out[into[k], 2] = x0, y0, z0
+            k = who[k]
+            ahead = x0 * (towards[0] - towards[3] * places[k, 0]) + y0 * (towards[1] - towards[3] * places[k, 1])
+            sign = math.copysign(1.0, ahead + z0 * (towards[2] - towards[3] * places[k, 2]))
+            x = turn[0, 0] * x0 + turn[0, 1] * y0 + turn[0, 2] * z0
+            y = turn[1, 0] * x0 + turn[1, 1] * y0 + turn[1, 2] * z0
+            z = turn[2, 0] * x0 + turn[2, 1] * y0 + turn[2, 2] * z0
+            unit = sign / max(math.sqrt(x * x + y * y + z * z), 1e-30)
+            out[at, 0], out[at, 1], out[at, 2] = x * unit, y * unit, z * unit
         p = q
 
 

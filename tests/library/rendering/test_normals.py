@@ -45,13 +45,14 @@ def test_the_kernel_is_the_equation():
     rng = np.random.default_rng(3)
     places, root = rng.uniform(-1, 1, (120, 3)), rng.normal(0, 0.1, (120, 3, 3))
     axes = root.transpose(1, 2, 0)
-    weights = rng.uniform(0.1, 1, 120)
-    for reach in (0.05, 0.4, 3.0):
-        one, other = compiled(places, axes, weights, reach), thinnest(places, axes, weights, reach)
-        np.testing.assert_allclose(np.abs((one * other).sum(1)), 1, atol=1e-6)
+    opacity, turn = rng.uniform(0.1, 1, 120), rng.normal(size=(3, 3))
+    for reach, towards in ((0.05, [0, 0, 3, 1]), (0.4, [0.2, -0.1, 0, 1]), (3.0, [1, 2, 3, 0]), (1e-9, [0, 0, 3, 1])):
+        args = places, axes, opacity, reach, np.array(towards, float), turn
+        one, other = compiled(*args), thinnest(*args)
+        np.testing.assert_allclose((one * other).sum(1), 1, atol=1e-6)
         rows = rng.permutation(120)[:40]
-        assert np.array_equal(compiled(places, axes, weights, reach, rows), one[rows])
-    assert compiled(places[:0], axes[..., :0], weights[:0], 1.0).shape == (0, 3)
+        assert np.array_equal(compiled(*args, rows), one[rows])
+    assert compiled(places[:0], axes[..., :0], opacity[:0], *args[3:]).shape == (0, 3)
 
 
 @pytest.mark.parametrize(("tilt", "median", "worst"), [(0.0, 0.1, 0.2), (0.35, 10.0, 17.0)])
