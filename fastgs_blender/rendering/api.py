@@ -22,7 +22,7 @@ from .holdout import as_triangles
 from .instances import LIMIT, Instance, ObjectSettings, ViewedInstance
 from .layout import PROBES, Layout
 from .panorama import render_panorama
-from .passes import DEFAULTS, PASSES, SHADOWS, Blended, PassSettings
+from .passes import DEFAULTS, PASSES, SHADOWS, Blended, PassSettings, images
 from .quantities import shares
 from .shadow_edges import sharpened
 
@@ -108,17 +108,9 @@ def render(model: Source | list, camera: Camera | Panorama, t: float = 0.0, pass
         needs = {part for entry in entries if entry not in sharp for part in entry.needs}
         draw = partial(_exposed, kernels, exposure, instances, camera, needs, progress, holdout, settings.by_pixel)
         blurred = sharpen(draw, needs, averaged=True)
-    out = {}
-    for entry in entries:
-        source = blended if entry in sharp else blurred
-        if source is None:
-            size = camera.window[3], camera.window[2]
-            image = np.full(size if entry.channels == 1 else (*size, entry.channels), entry.empty)
-        else:
-            image = entry.image(source)
-        out[entry.name] = np.ascontiguousarray(image, np.float32)
+    found = images(sharp, blended, camera) | images([each for each in entries if each not in sharp], blurred, camera)
     progress(1.0)
-    return out
+    return {name: found[name] for name in passes}
 
 
 def _blended(backend: Any, instances: list[ViewedInstance], camera: Camera, needs: set[str], progress: Any,

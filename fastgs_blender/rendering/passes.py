@@ -3,8 +3,10 @@
 
 A new pass is one entry of PASSES.  render(), `fastgs render`, the EXR writer and Blender's passes all read this table.
 """
-from collections.abc import Callable, Iterable
-from dataclasses import dataclass, field
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +15,9 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..util.arguments import one_of
 from ..util.errors import FastGSError
+from ..util.threads import ranges, run
 from . import cryptomatte, false_colour
+from .colour import PIXELS
 from .instances import Moment, ViewedInstance
 from .normals import normal
 from .quantities import Mist, Quantity, vector
@@ -110,6 +114,17 @@ class Blended:
     held: np.ndarray | None = None
     shadows: dict[str, np.ndarray] = field(default_factory=dict)
 
+    def rows(self, first: int, last: int) -> Blended:
+        """Those of the window's rows first..last."""
+        x0, y0, width, _ = self.camera.window
+
+        def cut(array: Any) -> Any:
+            return None if array is None else array[first:last]
+
+        sums, probes, shadows = ({name: cut(each) for name, each in arrays.items()} for arrays in (self.sums, self.probes, self.shadows))
+        return replace(self, camera=replace(self.camera, window=(x0, y0 + first, width, last - first)), rgb=cut(self.rgb),
+                       alpha=cut(self.alpha), sums=sums, probes=probes, shares=cut(self.shares), held=cut(self.held), shadows=shadows)
+
     def at_pixels(self, sums: np.ndarray, weight: np.ndarray) -> np.ndarray:
         """The mean of a quantity that is a plane, a + b x + c y with x and y from the image's middle, at the pixels [h, w, K / 3].
 
@@ -185,6 +200,30 @@ class Pass:
     def shown(self, image: np.ndarray) -> np.ndarray:
         """The image [h, w] or [h, w, channels] as files and Blender hold it: FAR in place of infinity."""
         return np.minimum(image, FAR) if self.empty == np.inf else image
+
+
+def images(entries: Sequence[Pass], blended: Blended | None, camera: Camera) -> dict[str, np.ndarray]:
+    """The images [h, w] or [h, w, channels] float32 of passes, by name; blended: None where nothing was drawn.
+
+    What is not there yet is computed in bands of rows, on all threads, so that it stays in the processor's cache.
+    """
+    _, _, width, height = camera.window
+    shapes = {each.name: (height, width) if each.channels == 1 else (height, width, each.channels) for each in entries}
+    if blended is None:
+        return {each.name: np.full(shapes[each.name], each.empty, np.float32) for each in entries}
+    there = {"rgb": blended.rgb, "alpha": blended.alpha}
+    out = {name: np.ascontiguousarray(there[name], np.float32) if name in there else np.empty(shape, np.float32)
+           for name, shape in shapes.items()}
+    made = [each for each in entries if each.name not in there]
+
+    def band(first: int, last: int) -> None:
+        part = blended.rows(first, last)
+        for each in made:
+            out[each.name][first:last] = each.image(part)
+
+    if made:
+        run(band, ranges(height, max(PIXELS // width, 1)))
+    return out
 
 
 def _expected_depth(blended: Blended) -> np.ndarray:
