@@ -10,16 +10,13 @@ import numpy as np
 
 from ...rendering.layout import Buffers, Layout
 from . import carrying, carving, initial, light, nearest, painting, passing, posing, resample, spots, steps, thinnest, training, visible
-from .decoder import Decoder, decode_features
+from .decoder import decode_features, decoder_of
 from .expose import expose
 from .holdout import surface
 from .jit import announce
 from .rasterise import rasterise
 from .splats import project_instances
 from .tile_lists import tiles_of
-
-FEATURES = 9
-"""Channels of a picture of one decoder's features alone: these are decoded by rows of tiles, and never kept."""
 
 
 class CPU:
@@ -51,10 +48,8 @@ class CPU:
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         order, channels, rows = splats.order(), splats.channels, (splats.geometry, splats.attributes)
         del splats  # the rest of which is memory
-        group = layout.groups[0]
-        decode = Decoder(group.instance, camera, group.decode) if layout.channels == FEATURES and group.instance else None
         picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), tiles_of(wanted, camera), holdout,
-                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decode)
+                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decoder_of(layout, camera))
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):

@@ -33,15 +33,16 @@ def decode_block(row, start, n, features, weight, w1, w2, to_model, lens, orthog
     """
     covered = False
     for p in range(n):
+        covered |= weight[row, start + p] > float32(0.0)
+    if not covered:
+        return False
+    for p in range(n):
         share = weight[row, start + p]
-        covered |= share > float32(0.0)
         inverse = float32(1.0) / share if share > float32(0.0) else float32(0.0)
         for i in range(3):
             base[i, p] = features[row, start + p, i] * inverse
         for i in range(6):
             inputs[i, p] = features[row, start + p, 3 + i] * inverse
-    if not covered:
-        return False
     fx, fy, cx, cy = lens
     v = 0.0 if orthographic else (y0 + row + 0.5 - cy) / fy
     for p in range(n):

@@ -7,11 +7,15 @@ import numpy as np
 from ...cameras.camera import Camera
 from ...model.appearance import ACTIVATIONS, Features, lifted
 from ...rendering.instances import LIMIT, ViewedInstance
+from ...rendering.layout import Layout
 from ...rendering.looks import Look, graded_picture
-from ...util.threads import ranges, run
+from ...util.threads import portions, ranges, run
 from .decode import decode
 from .decode_backward import decode_backward as decode_rows_backward
 from .splats import plain
+
+FEATURES = 9
+"""Channels of a picture of one decoder's features alone."""
 
 
 class Decoder:
@@ -40,7 +44,13 @@ class Decoder:
     def _decode(self, features, weight, top: int, out: np.ndarray) -> None:
         """Write the decoder's colour, times the weight [h, w], of the features divided by it."""
         rest = (np.ascontiguousarray(features), np.ascontiguousarray(weight), *self.inputs, top, out)
-        run(lambda first, last: decode(first, last, *rest), ranges(len(out), 64))
+        run(lambda first, last: decode(first, last, *rest), portions(len(out), 64, 8))
+
+
+def decoder_of(layout: Layout, camera: Camera) -> Decoder | None:
+    """What decodes a picture of one decoder's features alone, by rows of tiles, so that they are never kept; None where it has more."""
+    group = layout.groups[0]
+    return Decoder(group.instance, camera, group.decode) if layout.channels == FEATURES and group.instance else None
 
 
 def decode_features(features, weight, instance: ViewedInstance, camera: Camera, way: str) -> np.ndarray:

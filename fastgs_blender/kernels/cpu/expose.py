@@ -15,8 +15,9 @@ from ...rendering import colour
 from ...rendering.exposure import Exposure, Film
 from ...rendering.layout import Exposed, Layout
 from ...rendering.quantities import shares
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from . import raster
+from .decoder import decoder_of
 from .jit import kernel
 from .paths import Paths, Snapshot, levels_of, measure, touch
 from .project import SCALE
@@ -58,7 +59,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         weights = np.array(sample.weights, np.float32)[levels]
         hidden_by = exposure.holdout(holdout, sample.time)
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, wanted=weights > 0, holdout=hidden_by,
-                            plane=layout.plane, by_pixel=by_pixel)
+                            plane=layout.plane, by_pixel=by_pixel, decode=decoder_of(layout, eye) if colours else None)
         buffers = picture.buffers(layout)
         rgb = colour_of(buffers, layout, eye) if colours and moved else None
         if objects:
@@ -106,30 +107,35 @@ def _picked(instances, touching):
 def _draw_out(splats: ProjectedSplats, keep: np.ndarray, paths: Paths, count: int):
     """Widen the splats that move too far between two samples along their way, or all around where the lens spreads them; their optical
     depth spreads with them, so that what is opaque stays so."""
-    at = keep[_gaussians(splats)]
-    wide = paths.needed[at] > 1.5 * count
-    rows, at = splats.index[wide], at[wide]
-    if not len(rows):
-        return
-    (x, y), gap = paths.shift[at].T.astype(np.float64) / count, paths.blur[at].astype(np.float64) ** 2 / count
-    l11, l21, l22 = splats.geometry[rows, raster.L11:].T
-    s11 = (SCALE / l22) ** 2
-    s01 = -l21 / l11 * s11
-    det = s11 * (SCALE / l11) ** 2
-    s00 = (det + s01**2) / s11 + x * x / 6 + gap / 3
-    s01, s11 = s01 + x * y / 6, s11 + y * y / 6 + gap / 3
-    wider = s00 * s11 - s01**2
-    opacity = np.exp2(splats.attributes[rows, raster.LOG2_OPACITY].astype(np.float64))
-    opacity = np.minimum(opacity, splats.attributes[rows, raster.ALPHA_MAX])
-    cut = splats.attributes[rows, raster.LOG2_CUT].astype(np.float64)
-    log2 = np.maximum(np.log2(-np.expm1(np.log1p(-opacity) * np.sqrt(det / wider))), cut)
-    reach = 2 * np.log(2) * (log2 - cut)
-    splats.geometry[rows, raster.L11] = SCALE * np.sqrt(s11 / wider)
-    splats.geometry[rows, raster.L21] = -SCALE * s01 / np.sqrt(s11 * wider)
-    splats.geometry[rows, raster.L22] = SCALE / np.sqrt(s11)
-    splats.attributes[rows, raster.LOG2_OPACITY] = log2
-    splats.attributes[rows, raster.RADIUS_X] = np.sqrt(reach * s00) + 1e-3
-    splats.attributes[rows, raster.RADIUS_Y] = np.sqrt(reach * s11) + 1e-3
+    rest = splats.index, keep[_gaussians(splats)], paths.needed, paths.shift, paths.blur, count, splats.geometry, splats.attributes
+    run(lambda first, last: draw_out(first, last, *rest), portions(len(splats.index)))
+
+
+@kernel
+def draw_out(first, last, index, at, needed, shift, blur, count, geometry, attributes):
+    """_draw_out() of the splats index[first:last], which are the Gaussians at[first:last] of the paths."""
+    for k in range(first, last):
+        i, n = index[k], at[k]
+        if not needed[n] > 1.5 * count:
+            continue
+        x, y, gap = np.float64(shift[n, 0]) / count, np.float64(shift[n, 1]) / count, np.float64(blur[n]) ** 2 / count
+        l11, l21, l22 = geometry[i, raster.L11], geometry[i, raster.L21], geometry[i, raster.L22]
+        s11 = (SCALE / l22) ** 2
+        s01 = -l21 / l11 * s11
+        det = s11 * (SCALE / l11) ** 2
+        s00 = (det + s01**2) / s11 + x * x / 6 + gap / 3
+        s01, s11 = s01 + x * y / 6, s11 + y * y / 6 + gap / 3
+        wider = s00 * s11 - s01**2
+        opacity = min(2.0 ** np.float64(attributes[i, raster.LOG2_OPACITY]), np.float64(attributes[i, raster.ALPHA_MAX]))
+        cut = np.float64(attributes[i, raster.LOG2_CUT])
+        log2 = max(math.log2(-math.expm1(math.log1p(-opacity) * math.sqrt(det / wider))), cut)
+        reach = 2 * math.log(2.0) * (log2 - cut)
+        geometry[i, raster.L11] = SCALE * math.sqrt(s11 / wider)
+        geometry[i, raster.L21] = -SCALE * s01 / math.sqrt(s11 * wider)
+        geometry[i, raster.L22] = SCALE / math.sqrt(s11)
+        attributes[i, raster.LOG2_OPACITY] = log2
+        attributes[i, raster.RADIUS_X] = math.sqrt(reach * s00) + 1e-3
+        attributes[i, raster.RADIUS_Y] = math.sqrt(reach * s11) + 1e-3
 
 
 def _of_pixels(tiles: np.ndarray, grid, window) -> np.ndarray:
@@ -144,7 +150,7 @@ def _collect(film: Film, rgb, alpha, held, weights, grid, window):
     colours = rgb is not None
     rest = (weights, *grid[:3], *window, rgb if colours else np.zeros((0, 0, 3), np.float32), alpha, film.encoded, colours, TABLE,
             film.rgb, film.alpha, np.zeros((0, 0), np.float32) if held is None else np.ascontiguousarray(held), film.held)
-    run(lambda first, last: collect(first, last, *rest), ranges(len(weights), PIECE))
+    run(lambda first, last: collect(first, last, *rest), portions(len(weights), PIECE, PIECE // 8))
 
 
 @kernel
