@@ -17,6 +17,8 @@ import numpy as np
 
 PIECE = 2048
 """Columns of a product with a small matrix: OpenBLAS makes so few in the thread that asks for them."""
+MOST, LEAST = 16_384, 1024
+"""Rows of arrays, such as Gaussians, in one piece of work."""
 AHEAD = 4
 """Pieces for each thread that several() works on before their results are asked for."""
 _chosen = 0
@@ -172,6 +174,11 @@ def taken(arrays: Sequence[np.ndarray], index: np.ndarray, axis: int = 0) -> lis
 
     run(piece, ranges(len(index), 4 * PIECE))
     return out
+
+
+def portions(total: int, most: int = 0, least: int = 0) -> list[tuple[int, int]]:
+    """ranges() of so many that each thread has four, but of at most `most` and at least `least`; 0: MOST and LEAST."""
+    return ranges(total, min(most or MOST, max(least or LEAST, -(-total // (4 * thread_count())))))
 
 
 def ranges(total: int, size: int) -> list[tuple[int, int]]:

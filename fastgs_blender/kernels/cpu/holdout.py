@@ -52,7 +52,7 @@ class Occluder:
         parts = run(lambda a, b: project(triangles[a:b], view, lens, bool(camera.orthographic), window), ranges(len(triangles), CHUNK))
         screen = np.concatenate(parts) if parts else np.empty((0, 3, 3))
         pieces = ranges(len(screen), max(CHUNK, -(-len(screen) // (2 * thread_count()))))
-        counts = np.zeros((max(len(pieces), 1), grid[2] * grid[3]), np.int64)
+        counts = np.zeros((max(len(pieces), 1), grid[2] * grid[3]), np.int32)
         segments = run(lambda s, a, b: spans(a, b, screen, *grid, counts[s]), [(s, *piece) for s, piece in enumerate(pieces)])
         listing = TileLists(window, grid, segments, counts)
         return cls(screen, listing, list_tiles(segments, counts, 0, counts.shape[1]), camera.far, camera.orthographic)

@@ -17,7 +17,7 @@ from numba import float32
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from . import simd
 from .jit import kernel
 
@@ -252,7 +252,7 @@ def photometric(image, target, weight=None, dssim: float = 0.2):
     total = max(height * length, 1)
     rest = (flat(image), flat(target), counts, height, length, stride, np.float32((1 - dssim) / total), np.float32(-dssim / total),
             grad, sums, weighted)
-    run(lambda first, last: compare(first, last, *rest), ranges(height, ROWS))
+    run(lambda first, last: compare(first, last, *rest), portions(height, ROWS, ROWS // 2))
     dissimilar, l1 = (float(part) / total for part in sums[:-1].reshape(height, 2, -1).sum((0, 2), dtype=np.float64))
     return (1 - dssim) * l1 + dssim * dissimilar, grad.reshape(height, stride)[:, :length].reshape(height, columns, 3), l1, 1 - dissimilar
 
@@ -277,5 +277,5 @@ def errors(image, target, weight, scale: float) -> tuple[float, np.ndarray]:
     out, squares, weighted = np.empty((height, columns), np.float32), np.empty(height, np.float32), weight is not None
     counts = np.ascontiguousarray(weight, np.float32) if weighted else out
     rest = (*(np.ascontiguousarray(a, np.float32) for a in (image, target)), counts, weighted, np.float32(scale / 3), out, squares)
-    run(lambda first, last: roots(first, last, *rest), ranges(height, ROWS))
+    run(lambda first, last: roots(first, last, *rest), portions(height, ROWS, ROWS // 8))
     return float(squares.sum(dtype=np.float64)) / max(image.size, 1), out

@@ -8,6 +8,8 @@ import weakref
 
 import numpy as np
 
+from ...util.threads import portions, run
+
 SPLATS = 800_000
 """Splats up to which memory is kept: that of more would be much of what a process holds."""
 LEAST = 1 << 18
@@ -33,3 +35,10 @@ def empty(shape: tuple[int, ...], dtype: type, splats: int) -> np.ndarray:
         while sum(len(block) for block, _ in _blocks) > MOST:
             del _blocks[0]
     return whole.view(dtype).reshape(shape)
+
+
+def zeros(shape: tuple[int, ...], dtype: type, splats: int) -> np.ndarray:
+    """np.zeros() in such memory, on all threads."""
+    array = empty(shape, dtype, splats)
+    run(lambda first, last: array[first:last].fill(0), portions(len(array)))
+    return array

@@ -9,7 +9,7 @@ from numba import float32
 
 from ...model.appearance import ACTIVATIONS, SH, SH_C0, Changing, Features, features_at, momentary
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from .. import asserts
 from .decode import NONE, activate
 from .jit import inline, kernel
@@ -18,8 +18,6 @@ from .project import SH as HARMONICS
 from .spherical import sh_colour
 from .splats import CODES, plain
 
-CHUNK = 4096
-"""Gaussians in one piece of work."""
 LEAST = float32(1e-12)
 """Light that counts as none."""
 
@@ -42,7 +40,7 @@ def painted(instance, index: np.ndarray, places: np.ndarray, light: np.ndarray, 
             tuple(float(share) for share in (settings.captured_light, settings.lamp_light / np.pi, settings.shadows)),
             (CODES[type(look)], getattr(look, "degree", 0), activation, model.colour_space == "linear",
              SH_C0 if isinstance(look, SH) else 1.0), *matrices, instance.camera_to_model[:3, 3].copy(), out, numbers)
-    run(lambda first, last: paint(first, last, *rest), ranges(len(index), CHUNK))
+    run(lambda first, last: paint(first, last, *rest), portions(len(index)))
     return list(out), numbers
 
 

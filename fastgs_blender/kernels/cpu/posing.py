@@ -6,11 +6,11 @@ import math
 
 import numpy as np
 
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from .. import asserts
 from .jit import kernel
 from .project import _axes, _moved3, _moved4, _quaternion
-from .splats import CHUNK, plain, weights_at
+from .splats import plain, weights_at
 
 
 def posed(instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
@@ -20,7 +20,7 @@ def posed(instance, index: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarr
     place, turn, axes = np.empty((3, len(index))), np.empty((4, len(index))), np.empty((3, 3, len(index)))
     arrays = tuple(plain(a) for a in (model.position, model.rotation, model.scale, model.motion, model.rotation_motion, model.mu_tau))
     rest = index, arrays, (t, weights_at(model.basis, t), weights_at(model.rotation_basis, t)), place, turn, axes
-    run(lambda first, last: pose(first, last, *rest), ranges(len(index), CHUNK))
+    run(lambda first, last: pose(first, last, *rest), portions(len(index)))
     return place.T, turn.T, axes
 
 

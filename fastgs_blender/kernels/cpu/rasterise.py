@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import partial
 
 import numpy as np
 
 from ...cameras.camera import Camera
 from ...rendering.layout import PROBES, Buffers, Layout
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from . import raster, raster_backward, raster_by_pixel
 from .holdout import Occluder
-from .memory import empty
+from .memory import empty, zeros
 from .tile_lists import TileLists, list_tiles, tile_cursors
 
 NONE = np.zeros((0, 0), np.float32)
-CHUNK = 16_384
-"""Splats in one piece of work."""
 TILES = 64
-"""Tiles in one piece of work."""
+"""Tiles in one piece of work, at most."""
 ENTRIES = 48_000_000
 """Tile entries held at once; a picture with more is rasterised in bands."""
 BACKWARD_BYTES = 24 << 20
@@ -82,8 +79,7 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
     x0, y0, right, bottom = listing.window
     tile_x, tile_y, columns, rows = listing.grid
     size = bottom - y0, right - x0
-    fresh = partial(empty, splats=len(geometry)) if wanted is None else np.zeros  # pages of the latter come in one by one
-    out, alpha = fresh((*size, 3 if decode else channels), np.float32), fresh(size, np.float32)
+    out, alpha = (empty(shape, np.float32, len(geometry)) for shape in ((*size, 3 if decode else channels), size))
     hiding = occluder.depths if occluder else lambda *_: raster.NOTHING
     wanted = np.ones(columns * rows, np.bool_) if wanted is None else wanted
 
@@ -91,6 +87,9 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
         top, end = (min(max((tile_y + tile // columns) * raster.TILE, y0), bottom) for tile in (first, last))
         part = slice(top - y0, end - y0)
         drawn = empty((end - top, right - x0, channels), np.float32, len(geometry)) if decode else out[part]
+        if not wanted[first:last].all():
+            drawn.fill(0)
+            alpha[part].fill(0)
         kernel(first, last, columns, x0, top, right, end, tile_x, tile_y, *lists, geometry, attributes, drawn, alpha[part], extra[part],
                hiding(first, last, wanted), held[part], *middle, wanted)
         if decode:
@@ -101,15 +100,14 @@ def _blend(listing: TileLists, geometry, attributes, channels: int, kernel, extr
         if once and last == columns * rows:
             listing.segments.clear()
         share = progress and (lambda f, first=first, last=last: progress((first + f * (last - first)) / (columns * rows)))
-        pieces = ranges(last - first, columns * -(-TILES // columns))
-        run(lambda a, b, first=first, lists=lists: blend(first + a, first + b, lists),
-            [(a, b) for a, b in pieces if wanted[first + a:first + b].any()], share)
+        pieces = [(first + a * columns, first + b * columns) for a, b in portions((last - first) // columns, -(-TILES // columns), 1)]
+        run(lambda a, b, lists=lists: blend(a, b, lists), pieces, share)
     return out, alpha, lists
 
 
 def _tiles(first: int, last: int) -> list[tuple[int, int]]:
     """The tiles first..last in pieces of work."""
-    return [(first + a, first + b) for a, b in ranges(last - first, TILES)]
+    return [(first + a, first + b) for a, b in portions(last - first, TILES, 1)]
 
 
 @dataclass(frozen=True, eq=False)
@@ -159,7 +157,7 @@ def rasterise_backward(state: RasterState, grad_channels, grad_alpha, emphasis=N
     width, listing = raster_backward.columns(channels), state.listing
     grad_channels, grad_alpha = (np.ascontiguousarray(g, np.float32) for g in (grad_channels, grad_alpha))
     emphasis = np.ones(grad_alpha.shape, np.float32) if emphasis is None else np.ascontiguousarray(emphasis, np.float32)
-    sums = np.zeros((rows, width), np.float32)
+    sums = zeros((rows, width), np.float32, rows)
     ends = np.zeros(listing.counts.shape[1], np.int64)
     kernel = raster_backward.rasteriser_backward(channels, state.band)
     bands = listing.bands(min(BACKWARD_BYTES // (4 * width), ENTRIES))
@@ -175,8 +173,8 @@ def rasterise_backward(state: RasterState, grad_channels, grad_alpha, emphasis=N
         rest = (band_starts, ends, entries, sums)
         run(lambda segment, cursor, span=(first, last), rest=rest: raster_backward.collect(segment, *span, cursor, *rest),
             zip(listing.segments, cursors))
-    result = RasterGradients(np.zeros((rows, 5)), np.zeros(rows, np.float32), np.zeros((rows, channels), np.float32),
-                             np.zeros((rows, 2), np.float32))
+    shapes = ((rows, 5), np.float64), ((rows,), np.float32), ((rows, channels), np.float32), ((rows, 2), np.float32)
+    result = RasterGradients(*(zeros(shape, kind, rows) for shape, kind in shapes))
     rest = (np.sort(state.order), state.geometry, sums, result.geometry, result.log2_opacity, result.channels, result.absolute)
-    run(lambda a, b: raster_backward.finish(a, b, *rest), ranges(len(state.order), CHUNK))
+    run(lambda a, b: raster_backward.finish(a, b, *rest), portions(len(state.order)))
     return result

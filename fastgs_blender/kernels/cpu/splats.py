@@ -13,7 +13,7 @@ from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
 from ...rendering.looks import Look
 from ...rendering.quantities import Shown
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from . import project, raster
 from .memory import empty
 from .project_backward import project_backward as project_rows_backward
@@ -21,8 +21,6 @@ from .rasterise import RasterGradients
 from .sort import order_by
 
 CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
-CHUNK = 16_384
-"""Gaussians in one piece of work."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -50,7 +48,8 @@ class ProjectedSplats:
 
     def order(self) -> np.ndarray:
         """The rows written [V] int32, front to back."""
-        return order_by(self.depth[self.index], self.index)
+        pieces = [self.depth[first:first + count] for runs in self.runs for first, count in runs]
+        return order_by(np.concatenate(pieces) if pieces else self.depth[:0], self.index)
 
 
 def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> ProjectedSplats:
@@ -65,7 +64,7 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
         look[Look.GRADED] *= not isinstance(instance.model.appearance, Features)  # a decoder's colours are changed when it has made them
         count, inputs = len(instance.model), (cut, look, *_inputs(instance, camera, layout))
         rows = tuple(array[done:done + count] for array in arrays)
-        pieces = ranges(count, CHUNK)
+        pieces = portions(count)
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
         counts = run(lambda first, last, rest=(*inputs, *rows): project.project(first, last, *rest), pieces, share)
         runs.append([(done + first, number) for (first, _), number in zip(pieces, counts)])
@@ -97,8 +96,9 @@ def project_backward(instance: ViewedInstance, camera: Camera, layout: Layout, s
     out["features"] = np.empty((len(model), look.width), np.float32)
     slopes = (gradients.geometry, gradients.log2_opacity, gradients.channels)
     rest = (splats.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(instance, camera, layout))
-    pieces = ((first, min(first + CHUNK, len(model)), first, first + count) for first, count in splats.runs[0])
-    run(lambda *piece: project_rows_backward(*piece, *rest), pieces)
+    ends = [first for first, _ in splats.runs[0][1:]] + [len(model)]
+    run(lambda first, end, count: project_rows_backward(first, end, first, first + count, *rest),
+        [(first, end, count) for (first, count), end in zip(splats.runs[0], ends)])
     if isinstance(model.appearance, Changing):
         _spread_colours(model, instance.t, out, detach_time)
     return out

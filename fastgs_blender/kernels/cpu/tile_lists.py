@@ -11,7 +11,7 @@ from ...util.threads import ranges, run, thread_count
 from . import raster, tiles
 from .memory import empty
 
-CHUNK = 16_384
+FEW = 1024
 """Splats in one piece of work, at least."""
 
 
@@ -62,9 +62,9 @@ def list_spans(order, geometry, attributes, grid, tile, wanted=None):
     """Runs of tiles for each segment of the sorted splats (tiles.spans), and how many splats of it each tile has.
 
     grid: first tile in x and y, columns, rows; tile: pixels of a tile's side; wanted: as in TileLists.of().  Returns the segments' runs
-    and counts [segments, tiles] int64.
+    and counts [segments, tiles] int32.
     """
-    pieces = ranges(len(order), max(CHUNK, -(-len(order) // (2 * thread_count()))))
+    pieces = ranges(len(order), max(FEW, -(-len(order) // (2 * thread_count()))))
     changes = np.zeros((max(len(pieces), 1), grid[2] * grid[3] + 1), np.int32)
     rest = (order, geometry, attributes, *grid, tile.bit_length() - 1, tiles.which_tiles(wanted, *grid[2:]))
 
@@ -73,11 +73,12 @@ def list_spans(order, geometry, attributes, grid, tile, wanted=None):
         while True:
             first, n = tiles.spans(first, last, *rest, changes[s], runs, n)
             if first == last:
+                changes[s].cumsum(dtype=np.int32, out=changes[s])
                 return runs[:n]
             runs = np.concatenate([runs, np.empty((n + grid[3], 3), np.int32)])
 
     segments = run(segment, [(s, *piece) for s, piece in enumerate(pieces)])
-    return segments, changes.cumsum(1, np.int64)[:, :-1]
+    return segments, changes[:, :-1]
 
 
 def tiles_of(wanted: np.ndarray | None, camera: Camera, tile: int = raster.TILE) -> np.ndarray | None:
@@ -93,15 +94,13 @@ def list_tiles(segments, counts, first: int, last: int):
     """Lists of the tiles first..last: starts [tiles + 1] int64 and ids int32, front to back within each tile."""
     starts, cursors = tile_cursors(counts, first, last)
     ids = empty((starts[-1],), np.int32, starts[-1] // 6)
-    run(lambda s, segment: tiles.scatter(segment, first, last, cursors[s].astype(np.uint32), ids), enumerate(segments))
+    run(lambda s, segment: tiles.scatter(segment, first, last, cursors[s], ids), enumerate(segments))
     return starts, ids
 
 
 def tile_cursors(counts, first: int, last: int):
-    """Where each tile's list begins, and where in it each segment's splats begin, with the lists of the tiles first..last alone."""
-    counts = counts.copy()
-    counts[:, :first] = 0
-    counts[:, last:] = 0
-    starts = np.zeros(counts.shape[1] + 1, np.int64)
-    np.cumsum(counts.sum(0), out=starts[1:])
-    return starts, starts[:-1] + np.cumsum(counts, 0) - counts
+    """Where each tile's list begins [tiles + 1] int64, and where in it each segment's splats do [segments, tiles] uint32, with the lists of
+    the tiles first..last alone."""
+    starts, cursors = np.empty(counts.shape[1] + 1, np.int64), np.empty(counts.shape, np.uint32)
+    tiles.begins(counts, first, last, starts, cursors)
+    return starts, cursors

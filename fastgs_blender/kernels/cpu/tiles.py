@@ -121,6 +121,19 @@ def _tile(x, shift):
 
 
 @kernel
+def begins(counts, first_tile, last_tile, starts, cursors):
+    """tile_lists.tile_cursors(), in starts and cursors; those of other tiles' lists are left as they are."""
+    at = 0
+    for tile in range(counts.shape[1]):
+        starts[tile] = at
+        if first_tile <= tile < last_tile:
+            for segment in range(len(counts)):
+                cursors[segment, tile] = at
+                at += counts[segment, tile]
+    starts[counts.shape[1]] = at
+
+
+@kernel
 def scatter(runs, first_tile, last_tile, cursor, ids):
     """Write the splats of the runs of spans() into the lists of the tiles first_tile..last_tile; cursor [tiles]: where each goes next."""
     for k in range(len(runs)):

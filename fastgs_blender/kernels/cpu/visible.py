@@ -9,7 +9,7 @@ import numpy as np
 from ...rendering.crops import crop_arrays
 from ...rendering.culling import coarse_depths, heaviest, scale_bound, spread
 from ...rendering.distance import MARGIN
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from .crop import crop_share, in_ball
 from .jit import kernel
 from .lanes import exp
@@ -17,7 +17,7 @@ from .look import FAINTEST, OPACITY, SIZED, size_factor
 from .project import _moved3
 from .sampling import PIXEL, coarsest
 from .sort import order_by
-from .splats import CHUNK, plain, weights_at
+from .splats import plain, weights_at
 from .temporal import temporal_factor
 
 
@@ -184,7 +184,7 @@ def _seen(instance, camera, offset, standing):
 
 def _pieces(work, count, *arrays):
     """What work(first, last) has written into arrays, of each piece of `count`."""
-    pieces = ranges(count, CHUNK)
+    pieces = portions(count)
     return [tuple(each[first:first + n] for each in arrays) for (first, _), n in zip(pieces, run(work, pieces))]
 
 

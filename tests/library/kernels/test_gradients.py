@@ -12,7 +12,7 @@ from random_cameras import random_pose
 from random_models import BASES, TEMPORALS, random_model
 
 import fastgs_blender as fg
-from fastgs_blender.kernels.cpu import rasterise, splats
+from fastgs_blender.kernels.cpu import rasterise
 from fastgs_blender.model.slicing import slice_model
 from fastgs_blender.rendering.instances import AS_TRAINED, Instance
 from fastgs_blender.rendering.layout import Layout
@@ -206,7 +206,7 @@ def test_gradients_have_the_same_bytes_for_any_number_of_threads(rng, appearance
     model = random_model(rng, 1500, "paper", "line", "radial", appearance)
     camera = fg.Camera(130, 100, 100, 100, 65, 50, random_pose(rng, 2.5))
     functional = Functional(rng, camera, depth=True)
-    for module, name, size in ((splats, "CHUNK", 200), (rasterise, "CHUNK", 150), (rasterise, "TILES", 5)):
+    for module, name, size in ((threads, "MOST", 200), (threads, "LEAST", 150), (rasterise, "TILES", 5)):
         monkeypatch.setattr(module, name, size)
     results = []
     try:

@@ -124,7 +124,7 @@ def gradients(order, geometry, attributes, grad, camera=CAMERA):
 
 
 def test_the_number_of_threads_changes_no_byte(rng, monkeypatch):
-    monkeypatch.setattr(cpu, "CHUNK", 50)
+    monkeypatch.setattr(threads, "MOST", 50)
     monkeypatch.setattr(cpu, "TILES", 2)
     scene, grad = splats(rng, 700), rng.normal(size=(37, 53, 4))
     results = []

@@ -6,6 +6,8 @@ import threading
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from fastgs_blender.util import threads
 
@@ -107,3 +109,17 @@ def test_rows_are_taken_as_numpy_takes_them(count):
     assert np.array_equal(threads.taken(arrays[2:], np.array([-1, 3]))[0], arrays[2][[-1, 3]])
     with pytest.raises(IndexError):
         threads.taken(arrays, np.array([0, 20_000]))
+
+
+@given(total=st.integers(0, 5000), most=st.integers(1, 400), least=st.integers(1, 400), processors=st.integers(1, 40))
+def test_portions_cover_all_in_order_and_are_as_large_as_told(total, most, least, processors):
+    threads.set_threads(processors)
+    try:
+        found = threads.portions(total, most, least)
+    finally:
+        threads.set_threads(0)
+    assert [k for first, last in found for k in range(first, last)] == list(range(total))
+    sizes = [last - first for first, last in found]
+    assert all(size <= most for size in sizes) and all(size >= min(most, least) for size in sizes[:-1])
+    assert len(found) <= 4 * processors or max(sizes) == most
+    assert len(found) >= min(processors, total // max(least, 1))  # no thread is idle while pieces may be smaller
