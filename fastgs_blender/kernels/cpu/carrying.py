@@ -6,12 +6,9 @@ from functools import partial
 
 import numpy as np
 
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from .. import asserts
 from .jit import inline, kernel
-
-CHUNK = 16_384
-"""Vertices in one piece of work."""
 
 
 def affine_weights(points: np.ndarray, places: np.ndarray, number: np.ndarray, weight: np.ndarray, reaches: np.ndarray,
@@ -19,7 +16,7 @@ def affine_weights(points: np.ndarray, places: np.ndarray, number: np.ndarray, w
     """SurfaceBackend.affine_weights()."""
     asserts.affine_weights(points, places, number, weight, reaches)
     out = np.zeros(weight.shape)
-    run(lambda begin, end: _affine_weights(points, places, number, weight, reaches, ridge, begin, end, out), ranges(len(points), CHUNK))
+    run(lambda begin, end: _affine_weights(points, places, number, weight, reaches, ridge, begin, end, out), portions(len(points)))
     return out
 
 
@@ -75,7 +72,7 @@ def _solve(m):
 def places(position: np.ndarray, motion: np.ndarray, weights: np.ndarray, wanted: np.ndarray, out: np.ndarray) -> None:
     """SurfaceBackend.places()."""
     asserts.places(position, motion, weights, wanted, out)
-    run(partial(_places, position, motion, weights, wanted, out), ranges(len(position), CHUNK))
+    run(partial(_places, position, motion, weights, wanted, out), portions(len(position)))
 
 
 @kernel
@@ -94,7 +91,7 @@ def weighted_sums(values: np.ndarray, number: np.ndarray, weight: np.ndarray) ->
     """SurfaceBackend.weighted_sums()."""
     asserts.weighted_sums(values, number, weight)
     out = np.zeros((len(number), values.shape[1]))
-    run(lambda begin, end: _weighted_sums(values, number, weight, begin, end, out), ranges(len(number), CHUNK))
+    run(lambda begin, end: _weighted_sums(values, number, weight, begin, end, out), portions(len(number)))
     return out
 
 
@@ -111,7 +108,7 @@ def support(opacity: np.ndarray, number: np.ndarray, weight: np.ndarray, before:
     """SurfaceBackend.support()."""
     asserts.support(opacity, number, weight, before)
     out = np.empty(len(number))
-    run(lambda begin, end: _support(opacity, number, weight, before, begin, end, out), ranges(len(number), CHUNK))
+    run(lambda begin, end: _support(opacity, number, weight, before, begin, end, out), portions(len(number)))
     return out
 
 
@@ -130,7 +127,7 @@ def smoothed(values: np.ndarray, first: np.ndarray, other: np.ndarray, rounds: i
     asserts.smoothed(values, first)
     old, new = np.array(values, np.float64), np.empty(values.shape)
     for _ in range(rounds):
-        run(partial(_smoothed, old, first, other, share, new), ranges(len(old), CHUNK))
+        run(partial(_smoothed, old, first, other, share, new), portions(len(old)))
         old, new = new, old
     return old
 
