@@ -23,7 +23,7 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import product, several, taken
+from ..util.threads import product, run, several, taken
 from .contact import contact
 from .holdout import as_triangles
 from .instances import Instance, ViewedInstance
@@ -162,12 +162,9 @@ class SceneLight:
 
 def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:
     """Which share of its colour each of a lamp's points sends to spots: [L, P], and which of these it lights [R]."""
-    shares, any_ = np.empty((len(lamp.light.points), len(spots)), np.float32), np.zeros(len(spots), bool)
-    among = spots.lit_by(lamp.name)
-    for number, row in enumerate(shares):
-        np.multiply(lamp.share(number, spots.position, spots.normal), among, out=row)
-        any_ |= row > 0
-    return shares, np.flatnonzero(any_)
+    shares, among = np.empty((len(lamp.light.points), len(spots)), np.float32), spots.lit_by(lamp.name)
+    run(lambda number, row: np.multiply(lamp.share(number, spots.position, spots.normal), among, out=row), enumerate(shares))
+    return shares, np.flatnonzero((shares > 0).any(0))
 
 
 def _lit(instance: Instance, surface: _Surface, light: np.ndarray, drops: bool, backend: Any) -> Instance:

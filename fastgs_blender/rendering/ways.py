@@ -17,7 +17,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
-from ..util.threads import product
+from ..util.threads import product, taken
 from .holdout import between
 from .instances import Instance
 
@@ -191,8 +191,8 @@ def _bare(instance: Instance, backend: Any) -> Instance:
     opacity = opacities_at(model, instance.t)
     index = np.flatnonzero(opacity >= model.raster.alpha_cut)
     place, turn, _ = backend.posed(instance, index)
-    scale = np.exp(model.scale[index].astype(np.float64))
-    now = Slice(index, place, turn, scale, opacity[index], np.zeros((len(index), 3)), np.zeros((len(index), 3)))
+    scale, black = np.exp(taken([model.scale], index)[0]), np.zeros((len(index), 3), np.float32)
+    now = Slice(index, place, turn, scale, opacity[index], black, black)
     return replace(instance.part(index, still(model, now)), t=0.0)
 
 
@@ -209,7 +209,7 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
     size    pixels of the picture's longer side, or of a right angle where it is wider
     backend  a loaded backend (util/backends.py)
     """
-    low, high = _bounds(points)
+    low, high = backend.view_box(points, np.eye(3, 4), True)
     middle = (low + high) / 2
     forward = -place if parallel else middle - place
     forward = forward / max(np.linalg.norm(forward), 1e-30)

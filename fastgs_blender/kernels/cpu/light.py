@@ -26,8 +26,8 @@ WIDER = 12.0
 of it those smaller than a pixel hide too much."""
 BESIDE = 4
 """Pixels to each side of the picture in which Gaussians are seen, too: they are neighbours of those in it."""
-TILES = 64
-"""Tiles in one piece of work."""
+TILES = 8
+"""Tiles in one piece of work: such pictures have few."""
 
 
 @dataclass(frozen=True, eq=False)
