@@ -14,6 +14,8 @@ SPLATS = 800_000
 """Splats up to which memory is kept: that of more would be much of what a process holds."""
 LEAST = 1 << 18
 """Bytes of an array from which on it is worth a search."""
+ROWS = 65_536
+"""Rows that are cleared at once, at most."""
 MOST = 96 << 20
 """Bytes that are kept at most."""
 
@@ -40,5 +42,5 @@ def empty(shape: tuple[int, ...], dtype: type, splats: int) -> np.ndarray:
 def zeros(shape: tuple[int, ...], dtype: type, splats: int) -> np.ndarray:
     """np.zeros() in such memory, on all threads."""
     array = empty(shape, dtype, splats)
-    run(lambda first, last: array[first:last].fill(0), portions(len(array)))
+    run(lambda first, last: array[first:last].fill(0), portions(len(array), ROWS, ROWS // 4))
     return array
