@@ -93,6 +93,7 @@ api-docs: .venv/ready
 
 bench: .venv/ready
 	@$(PY) benchmarks/raster_cpu.py
+	@$(PY) benchmarks/processors.py
 	@$(PY) benchmarks/viewport.py
 	@$(PY) benchmarks/features.py
 	@$(PY) benchmarks/scene_light.py

@@ -11,7 +11,7 @@ from random_cameras import random_camera
 from random_models import random_model
 
 import fastgs_blender as fg
-from fastgs_blender.rendering import cryptomatte
+from fastgs_blender.rendering import cryptomatte, passes
 from fastgs_blender.rendering.instances import Instance, Moment
 from fastgs_blender.rendering.passes import PASSES, PassSettings
 from fastgs_blender.rendering.quantities import Mist
@@ -199,3 +199,13 @@ def test_a_pass_changes_no_other(rng):
     model, camera = random_model(rng, 60, "paper", "line", "radial", "sh1", size=0.2), random_camera(rng)
     plain, all_of_them = fg.render(model, camera, 0.3), fg.render(model, camera, 0.3, tuple(PASSES))
     assert all(plain[name].tobytes() == all_of_them[name].tobytes() for name in plain)
+
+
+def test_bands_of_rows_change_no_byte(rng, monkeypatch):
+    scene = [of(random_model(rng, 200, "paper", "line", "radial", "sh1"), f"object {k}", k, moved(z=0.2 * k)) for k in range(3)]
+    camera = replace(random_camera(rng), window=(3, 2, 17, 13))
+    holdout = np.array([[[-9, -9, 3], [9, -9, 3], [0, 9, 3]]], np.float32)
+    whole = fg.render(scene, camera, 0.3, tuple(PASSES), holdout=holdout)
+    monkeypatch.setattr(passes, "PIXELS", 60)
+    banded = fg.render(scene, camera, 0.3, tuple(PASSES), holdout=holdout)
+    assert all(np.array_equal(banded[name], whole[name], equal_nan=True) for name in PASSES) and whole["alpha"].any()
