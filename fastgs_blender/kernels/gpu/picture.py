@@ -69,7 +69,8 @@ class Models:
             sizes = {other: sum(pack.buffer.size for pack in its) for other, its in list(self.kept.items())}
             for other in list(sizes)[:-1]:
                 if sum(sizes.values()) > KEPT:
-                    del sizes[other], self.kept[other]
+                    del sizes[other]
+                    self.kept.pop(other, None)  # another thread may have it in its hands
         return found
 
 
