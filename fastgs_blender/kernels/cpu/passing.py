@@ -15,7 +15,7 @@ from numba.np.arrayobj import make_array
 from ...rendering.holdout import EDGE
 from ...rendering.layout import Layout
 from ...rendering.passing import BEHIND
-from ...util.threads import ranges, run, thread_count
+from ...util.threads import portions, run
 from .. import asserts
 from . import raster, simd
 from .holdout import Occluder
@@ -30,8 +30,6 @@ TILE = 64
 PART = 8
 """Pixels of the side of the squares by which a tile's points are sorted, so that those side by side ask for much the same splats."""
 PARTS = (TILE // PART) ** 2
-CHUNK = 16_384
-"""Points in one piece of work."""
 BATCH = 8
 """Points of a part that go past its splats together."""
 LAYERS = 2047
@@ -52,7 +50,7 @@ def view_box(points: np.ndarray, view: np.ndarray, parallel: bool) -> np.ndarray
     """PictureBackend.view_box()."""
     asserts.view_box(points, view)
     rest = points, np.ascontiguousarray(view), bool(parallel)
-    found = np.array(run(lambda a, b: _box(a, b, *rest), ranges(points.shape[1], 4 * CHUNK)) or [_NOWHERE]).reshape(-1, 2, 3)
+    found = np.array(run(lambda a, b: _box(a, b, *rest), portions(points.shape[1])) or [_NOWHERE]).reshape(-1, 2, 3)
     return np.stack([found[:, 0].min(0), found[:, 1].max(0)])
 
 
@@ -69,7 +67,7 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
         plane = raster.CHANNEL + layout.places["plane"].start
         rest = (*listing.grid[:3], *lists, splats.geometry, splats.attributes, plane, layer, begins, asked, seen, camera.width / 2,
                 camera.height / 2, out)
-        run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), _pieces(last - first, 1))
+        run(lambda a, b, first=first, rest=rest: transmitted(first + a, first + b, *rest), portions(last - first, last - first, 1))
     return out
 
 
@@ -81,13 +79,8 @@ def past_triangles(triangles, camera, points: np.ndarray, over: np.ndarray) -> n
         return out
     seen, begins, asked = _by_tile(occluder.listing.grid, 1, raster.TILE, camera, points, over)
     rest = (*occluder.lists, occluder.screen, bool(occluder.orthographic), begins, asked, seen, out)
-    run(lambda a, b: open_ways(a, b, *rest), _pieces(len(begins) - 1))
+    run(lambda a, b: open_ways(a, b, *rest), portions(len(begins) - 1, len(begins) - 1, TILES))
     return out
-
-
-def _pieces(tiles: int, least: int = TILES) -> list[tuple[int, int]]:
-    """A number of tiles in pieces of work: few, because there are many such pictures, and they are small."""
-    return ranges(tiles, max(least, -(-tiles // (4 * thread_count()))))
 
 
 def _by_depth(depth: np.ndarray, index: np.ndarray) -> tuple[np.ndarray, float]:
@@ -111,7 +104,7 @@ def _by_tile(grid, split: int, side: int, camera, points: np.ndarray, over: np.n
     rest = (np.ascontiguousarray(points), over, np.ascontiguousarray(camera.world_to_camera[:3]),
             tuple(float(v) for v in (camera.fx, camera.fy, camera.cx, camera.cy)), bool(camera.orthographic), *grid,
             split, split.bit_length() - 1, side, seen, part)
-    run(lambda a, b: place(a, b, *rest), ranges(count, CHUNK))
+    run(lambda a, b: place(a, b, *rest), portions(count))
     return seen, *list_points(part, grid[2] * grid[3] * split * split)
 
 

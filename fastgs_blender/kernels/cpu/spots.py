@@ -7,12 +7,9 @@ import math
 import numpy as np
 
 from ...rendering.spots import LEAST
-from ...util.threads import ranges, run
+from ...util.threads import portions, run
 from .. import asserts
 from .jit import kernel
-
-CHUNK = 16_384
-"""Gaussians in one piece of work."""
 
 
 def spread(position: np.ndarray, axes: np.ndarray, place: np.ndarray, parallel: bool, within: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
@@ -21,7 +18,7 @@ def spread(position: np.ndarray, axes: np.ndarray, place: np.ndarray, parallel: 
     count = position.shape[1]
     thickness, places = np.empty(count), np.empty((3, len(within), count))
     rest = np.ascontiguousarray(position), np.ascontiguousarray(axes), tuple(place.tolist()), bool(parallel), within, thickness, places
-    run(lambda first, last: _spread(first, last, *rest), ranges(count, CHUNK))
+    run(lambda first, last: _spread(first, last, *rest), portions(count))
     return thickness, places
 
 
