@@ -72,7 +72,7 @@ def _images(folder: Path, kind: str) -> list[ColmapImage]:
         where = f"{file}: {name}"
         parts = below(Path(), name)
         if parts is None:
-            raise FastGSError(f"{where!r} is no name of a picture within the capture.")
+            raise FastGSError(f"{file}: {name!r} is no name of a picture within the capture.")
         if camera not in cameras:
             raise FastGSError(f"{where} has the camera {camera}, which cameras.{kind} does not hold; the files belong to different models.")
         images.append(ColmapImage(parts.as_posix(), poses.from_quaternion(quaternion, translation, where), cameras[camera]))

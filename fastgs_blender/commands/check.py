@@ -42,7 +42,8 @@ def run(args: argparse.Namespace) -> int:
     use_threads(args.threads)
     held_out = None if args.held_out is None else [name for name in args.held_out.split(",") if name]
     place = Path(args.capture).resolve()
-    out = Path(args.out) if args.out else place.with_name(f"{place.stem if place.is_file() else place.name}-check")
+    name = place.stem if place.is_file() else place.name or "capture"  # a card's root has no name
+    out = Path(args.out) if args.out else place.parent / f"{name}-check"
     with progress(STEPS, "step", "checking", quiet=args.quiet) as bar:
         tell = _teller(args.status, bar)
         report = check(args.capture, scale=args.scale, frames=frames_slice(args.frames), held_out=held_out, layout=args.layout,

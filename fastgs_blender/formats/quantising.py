@@ -35,7 +35,7 @@ from ..model.gaussians import GaussianModel
 from ..model.slicing import sigmoid
 from ..util import rotations
 from .fitting import lifetimes
-from .rounding import chained, pulls, rounded
+from .rounding import chained, ldexp, pulls, rounded
 from .sensitivity import OPAQUE, UNSEEN, Sensitivity
 
 SAMPLES = 16
@@ -86,11 +86,11 @@ class Steps:
 
     def of(self, name: str, shape: np.ndarray) -> np.ndarray:
         """Steps [N] of an attribute, float64."""
-        return np.clip(np.ldexp(self.base[name], shape), FINEST, BOUNDS[name])
+        return np.clip(ldexp(self.base[name], shape), FINEST, BOUNDS[name])
 
     def of_features(self, tint: np.ndarray) -> np.ndarray:
         """Steps [N, F] of the features, float64."""
-        return np.clip(np.ldexp(self.tint, tint[:, None]), FINEST, BOUNDS["features"])
+        return np.clip(ldexp(self.tint, tint[:, None]), FINEST, BOUNDS["features"])
 
     def grain(self, scale: np.ndarray, shape: np.ndarray) -> np.ndarray:
         """Exponents [N] of two that are the steps of positions, from ln of scale [N, 3] as a reader has it."""
@@ -100,7 +100,7 @@ class Steps:
 
     def turning(self, scale: np.ndarray, shape: np.ndarray) -> np.ndarray:
         """Steps [N] of rotations: a Gaussian that is nearly round may be turned more."""
-        return np.clip(np.ldexp(self.of("rotation", shape), self.turn[spread(scale)]), FINEST, BOUNDS["rotation"])
+        return np.clip(ldexp(self.of("rotation", shape), self.turn[spread(scale)]), FINEST, BOUNDS["rotation"])
 
 
 LOG2E = 1.4426950408889634
@@ -150,7 +150,7 @@ def prepared(model: GaussianModel, found: Sensitivity) -> Prepared:
     rows["position"], rows["rotation"] = rows["position"] / 3, rows["rotation"] / 3
     size = np.sort(np.exp(model.scale.astype(np.float64)), axis=1)[:, 1:2]
     rows["position"] = rows["position"] * size**2
-    rows["mu_tau"] = rows["mu_tau"] * np.ldexp(1.0, -2 * life)[:, None]
+    rows["mu_tau"] = rows["mu_tau"] * ldexp(1.0, -2 * life)[:, None]
     steps = {}
     for name, squares in rows.items():
         ratio = np.where(squares > 0, squares / promise[:, None], np.nan)
@@ -203,7 +203,7 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
         """The steps [N, D] that the sensitivities of an array, or of a column of `temporal`, ask for, in the units of BOUNDS."""
         first, _, k = name.partition(".")
         array = np.minimum(np.exp2(ready.own[first] + level), BOUNDS[first])
-        return array[:, [int(k)]] if k else array * np.ldexp(1.0, -life)[:, None] if name == "mu_tau" else array
+        return array[:, [int(k)]] if k else array * ldexp(1.0, -life)[:, None] if name == "mu_tau" else array
 
     columns = {"shape": shape, "tint": tint, "life": life}
     columns["scale"] = model.scale, steps.of("scale", shape)[:, None]
@@ -212,7 +212,7 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     for k, logarithm in enumerate(model.temporal_kind.logarithms):
         if logarithm:
             columns[f"temporal.{k}"] = model.temporal[:, k], steps.of("temporal", shape)
-    columns["mu_tau"] = model.mu_tau, np.ldexp(steps.of("mu_tau", shape), -life)
+    columns["mu_tau"] = model.mu_tau, ldexp(steps.of("mu_tau", shape), -life)
     codes = {name: value for name, value in columns.items() if name in ("shape", "tint", "life")}
     values: dict[str, np.ndarray] = {}
     for name in columns:
@@ -223,16 +223,16 @@ def quantised(ready: Prepared, level: float) -> tuple[dict[str, np.ndarray], Ste
     weight = np.stack([model.temporal_kind.factor(moments, model.mu_tau, model.temporal) for moments in t.T], 1)
     weight /= np.sqrt(np.maximum((weight**2).sum(1, keepdims=True), 1e-12))
     span = (t, weight)
-    pulled = pulls(eased("position")[:, 0] * np.sort(np.exp(values["scale"]), axis=1)[:, 1], np.ldexp(1.0, grain))[:, None]
+    pulled = pulls(eased("position")[:, 0] * np.sort(np.exp(values["scale"]), axis=1)[:, 1], ldexp(1.0, grain))[:, None]
     position = _trajectory(codes, "motion", model.basis, model.position, model.motion, model.mu_tau, values["mu_tau"], span,
-                           np.ldexp(1.0, grain), pulled, life, steps.motion)
+                           ldexp(1.0, grain), pulled, life, steps.motion)
     fine = steps.turning(values["scale"], shape)
     turned = pulls(eased("rotation")[:, 0], fine)[:, None]
     rotation = _trajectory(codes, "rotation_motion", model.rotation_basis, model.rotation, model.rotation_motion, model.mu_tau,
                            values["mu_tau"], span, fine, turned, life, steps.swing)
     whole = model.rotation_basis.terms and not model.rotation_basis.centred  # else the constant term is the unit quaternion of the middle
     codes["rotation"] = rounded((rotation if whole else rotation[:, 1:]) / fine[:, None], turned)
-    codes["position"] = chained(position, np.ldexp(1.0, grain)[:, None], np.broadcast_to(pulled, position.shape))
+    codes["position"] = chained(position, ldexp(1.0, grain)[:, None], np.broadcast_to(pulled, position.shape))
     for k, logarithm in enumerate(model.temporal_kind.logarithms):
         if not logarithm:
             bits = model.temporal[:, k].view("<u4")
@@ -317,12 +317,12 @@ def restored(codes: dict[str, np.ndarray], steps: Steps, template: GaussianModel
 def step_sizes(codes: dict[str, np.ndarray], steps: Steps, scale: np.ndarray) -> dict[str, np.ndarray]:
     """The steps of all arrays but temporal, [N], or of a shape that fits their codes; scale: that of a reader (scales())."""
     shape, life = codes["shape"], np.clip(codes["life"], 0, LIVES - 1)
-    grain = np.ldexp(1.0, steps.grain(scale, shape))[:, None]
+    grain = ldexp(1.0, steps.grain(scale, shape))[:, None]
     fine = steps.turning(scale, shape)[:, None]
     return {
-        "position": grain, "motion": np.ldexp(grain, steps.motion[life])[..., None], "scale": steps.of("scale", shape)[:, None],
-        "rotation": fine, "rotation_motion": np.ldexp(fine, steps.swing[life])[..., None], "opacity": steps.of("opacity", shape),
-        "features": steps.of_features(codes["tint"]), "mu_tau": np.ldexp(steps.of("mu_tau", shape), -life)}
+        "position": grain, "motion": ldexp(grain, steps.motion[life])[..., None], "scale": steps.of("scale", shape)[:, None],
+        "rotation": fine, "rotation_motion": ldexp(fine, steps.swing[life])[..., None], "opacity": steps.of("opacity", shape),
+        "features": steps.of_features(codes["tint"]), "mu_tau": ldexp(steps.of("mu_tau", shape), -life)}
 
 
 def values_of(name: str, codes: dict[str, np.ndarray], step: np.ndarray, steps: Steps) -> np.ndarray:
@@ -394,7 +394,7 @@ def _trajectory(codes: dict, name: str, basis: Basis, constant: np.ndarray, coef
         usable = own[:, k] > 1e-9
         rest = wanted[:, k] - np.einsum("nj,njd->nd", r[:, k, k + 1:], found[:, k + 1:])
         x = np.where(usable[:, None], rest / np.where(usable, r[:, k, k], 1)[:, None], 0)
-        step = np.ldexp(fine, table[life, k - 1])[:, None]
+        step = ldexp(fine, table[life, k - 1])[:, None]
         found_codes[:, k - 1] = rounded(np.clip(x / step, -2.0**30, 2.0**30), pull)
         found[:, k] = found_codes[:, k - 1] * step
     return (wanted[:, 0] - np.einsum("nj,njd->nd", r[:, 0, 1:], found[:, 1:])) / r[:, 0, 0, None]

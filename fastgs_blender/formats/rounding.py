@@ -20,6 +20,11 @@ EASIEST = 8.0
 """The largest ratio that is believed: few pictures may have shown a parameter."""
 
 
+def ldexp(values: np.ndarray | float, exponents: np.ndarray) -> np.ndarray:
+    """values * 2^exponents, exact; on Windows NumPy takes no exponents of 64 bits."""
+    return np.asarray(np.ldexp(values, exponents.astype(np.intc)))
+
+
 def pulls(own: np.ndarray, step: np.ndarray) -> np.ndarray:
     """The pull on numbers whose own steps and shared steps are these."""
     return np.minimum(own / step, EASIEST) ** 2 * (TAIL / 6)

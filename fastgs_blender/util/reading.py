@@ -20,6 +20,7 @@ from typing import Any, BinaryIO
 from .errors import FastGSError
 
 log = logging.getLogger(__name__)
+FOLDER = "this is a folder, not a file; give the name of a file in it"
 NOT_ORDINARY = "this is a pipe or a device, not an ordinary file; copy what it gives into a file first"
 LARGEST_JSON = 512 * 2**20
 """Bytes of the largest JSON file that is read."""
@@ -77,11 +78,13 @@ def regular_file(path: str | os.PathLike, flags: int) -> int:
     except OSError as error:
         if error.errno == errno.ENXIO:  # a pipe that nobody reads, opened to be written
             raise FastGSError(f"{path}: {NOT_ORDINARY}.") from error
+        if os.path.isdir(path):  # which Windows does not open
+            raise FastGSError(f"{path}: {FOLDER}.") from error
         raise
     try:
         mode = os.fstat(handle).st_mode
         if stat.S_ISDIR(mode):
-            raise FastGSError(f"{path}: this is a folder, not a file; give the name of a file in it.")
+            raise FastGSError(f"{path}: {FOLDER}.")
         if not stat.S_ISREG(mode):
             raise FastGSError(f"{path}: {NOT_ORDINARY}.")
     except BaseException:

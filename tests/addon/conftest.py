@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shutil
 import tempfile
 from importlib import import_module
 from pathlib import Path
@@ -41,13 +42,19 @@ def pytest_collection_modifyitems(items):
 
 @pytest.fixture(scope="session")
 def addon():
-    """The enabled extension's root module.  Blender's user folder is a temporary one, in which the repository is linked."""
+    """The enabled extension's root module.  Blender's user folder is a temporary one, in which the repository is linked.
+
+    Windows, where links are for administrators, gets a copy.
+    """
     pytest.importorskip("bpy")
     import addon_utils
 
     folder = Path(USER.name) / "extensions" / "user_default"
     folder.mkdir(parents=True)
-    (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
+    if os.name == "nt":
+        shutil.copytree(ROOT, folder / "fastgs_blender", ignore=shutil.ignore_patterns(".*", "tests", "build", "dist", "benchmarks"))
+    else:
+        (folder / "fastgs_blender").symlink_to(ROOT, target_is_directory=True)
     module = addon_utils.enable(ADDON, default_set=True)
     assert module is not None, "the extension could not be enabled; the reason stands above"
     yield module

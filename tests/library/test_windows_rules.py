@@ -8,6 +8,7 @@ import subprocess
 import sys
 from pathlib import Path
 
+import numpy as np
 import pytest
 import windows_rules
 
@@ -96,3 +97,10 @@ def test_text_that_a_console_of_windows_lacks_is_an_error(monkeypatch):
         Stream().write("→")
     monkeypatch.setattr(Stream, "errors", "backslashreplace")
     assert Stream().write("→") == 1
+
+
+def test_powers_of_two_have_exponents_of_32_bits():
+    ldexp = windows_rules._of_short_exponents(np.ldexp)
+    assert ldexp(1.5, np.arange(3, dtype=np.int32)).tolist() == [1.5, 3.0, 6.0]
+    with pytest.raises(TypeError, match="ldexp"):
+        ldexp(1.5, np.arange(3, dtype=np.int64))

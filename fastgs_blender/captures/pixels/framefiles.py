@@ -65,9 +65,9 @@ def read(path: Path, shape: tuple[int, int, int], kind: DTypeLike) -> np.ndarray
                 if not count:
                     return None
                 got += count
-    except FileNotFoundError:
-        return None
     except OSError as error:
+        if isinstance(error, FileNotFoundError) or (os.name == "nt" and isinstance(error, PermissionError)):  # being put in its place there
+            return None
         raise FastGSError(f"{path}: the cached frame cannot be read ({error.strerror}); remove it and start again.") from error
     return array if head == _header(array) else None
 

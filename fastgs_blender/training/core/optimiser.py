@@ -117,7 +117,7 @@ class Optimiser:
     def state(self) -> dict[str, np.ndarray]:
         """Everything as NumPy arrays; on the CPU these are the optimiser's own, so copy them before further steps."""
         state = {f"{kind}.{name}": self.backend.numpy(array) for kind, part in PARTS.items() for name, array in getattr(self, part).items()}
-        return {**state, "moved": self.backend.numpy(self.moved), "steps": np.array([self.steps]), "betas": np.array(self.betas)}
+        return {**state, "moved": self.backend.numpy(self.moved), "steps": np.array([self.steps], np.int64), "betas": np.array(self.betas)}
 
     @classmethod
     def restored(cls, state: dict[str, np.ndarray], backend: Any = None) -> Optimiser:

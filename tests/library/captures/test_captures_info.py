@@ -51,7 +51,7 @@ def test_problems_and_masks(run, capture):
     code, out, _ = run("info", capture)
     assert code == 0 and "masks     mask files" in out
     (note,) = json.loads(run("info", "--json", capture)[1])["notes"]
-    assert "2 of 30 pictures" in note and "cam03 lacks the frame 4" in note and "cam02/0003.png" in note
+    assert "2 of 30 pictures" in note and "cam03 lacks the frame 4" in note and str(Path("cam02/0003.png")) in note
     (capture / "masks" / "cam00" / "0001.png").unlink()
     code, out, _ = run("info", capture)
     assert code == 1 and "problem   cam00 has masks" in out, "problems have an exit code of their own"

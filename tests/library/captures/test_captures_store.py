@@ -99,6 +99,7 @@ print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before)
 """
 
 
+@pytest.mark.posix
 def test_resident_memory_stays_within_the_budget_too(tmp_path, cache):
     """Nothing is mapped: 60 MB of frames pass through a budget of 8 MB."""
     side, frames = 512, 80

@@ -5,7 +5,6 @@ from __future__ import annotations
 import contextlib
 import json
 import os
-import resource
 import struct
 from pathlib import Path
 
@@ -45,6 +44,7 @@ def endless(request, tmp_path):
     return make
 
 
+@pytest.mark.posix
 def test_pipes_and_devices_as_pictures(endless, tmp_path):
     tiny_captures.fastgs(tmp_path)
     for file in ("cam00/0001.png", "masks/cam00/0001.png"):
@@ -168,7 +168,10 @@ def png(width=8, height=8, length=None) -> bytes:
 @pytest.mark.parametrize(("content", "words"), [
     (png(length=2**31 - 1), None), (png(length=2**32 - 1), None), (png(60_000, 60_000), "more than"),
     (png(10_000, 10_000), "short.*10000 x 10000"), (b"GIF89a" + bytes(40), "no PNG or JPEG")])
+@pytest.mark.posix
 def test_pictures_that_claim_too_much(tmp_path, content, words):
+    import resource
+
     file = tmp_path / "a.png"
     file.write_bytes(png())
     pictures.read(Source(file))

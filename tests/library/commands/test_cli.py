@@ -93,7 +93,7 @@ def test_what_commands_print_goes_through_one_function():
     """util.screen.tell() makes lines printable; print() is for what holds no names."""
     allowed = {"util/screen.py", "commands/completion.py", "jobs/environment.py"}
     library = ROOT / "fastgs_blender"
-    found = {str(file.relative_to(library)) for file in library.rglob("*.py")
+    found = {file.relative_to(library).as_posix() for file in library.rglob("*.py")
              if re.search(r"^ *print\(", re.sub(r'""".*?"""', "", file.read_text("utf-8"), flags=re.DOTALL), re.MULTILINE)}
     assert found <= allowed
 

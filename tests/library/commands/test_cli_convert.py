@@ -79,6 +79,7 @@ HELD = "import os, signal\nos.fsync = lambda handle: signal.pause()\n"
 
 
 @pytest.mark.parametrize("names", [("a.safetensors",), ("a.ply", "a.pt")], ids=str)
+@pytest.mark.posix
 def test_what_a_killed_conversion_left_goes_with_the_next_one(names, rng, make_model, tmp_path):
     """All that it wrote aside goes, and nothing else, be it hidden or called alike."""
     hook, out = tmp_path / "hook", tmp_path / "out"

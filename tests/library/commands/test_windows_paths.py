@@ -8,6 +8,7 @@ from fastgs_blender.util.screen import tell
 
 
 @pytest.mark.parametrize("path", [r"C:\films\a", "D:/films/a", r"\\server\films\a", "E:"])
+@pytest.mark.posix
 def test_a_drive_is_no_part_of_a_name(run, tmp_path, monkeypatch, path):
     """The sentence names the path as it was given: nothing is cut off at its colon."""
     monkeypatch.chdir(tmp_path)

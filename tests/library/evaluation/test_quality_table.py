@@ -18,6 +18,7 @@ FILE = Path(__file__).resolve().parents[3] / "benchmarks" / "quality.py"
 
 @pytest.fixture(scope="module")
 def quality():
+    pytest.importorskip("resource")
     spec = importlib.util.spec_from_file_location("quality", FILE)
     sys.modules["quality"] = module = importlib.util.module_from_spec(spec)
     spec.loader.exec_module(module)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import errno
 import os
-import resource
 import stat
 from pathlib import Path
 
@@ -85,6 +84,7 @@ def test_bad_targets(model, tmp_path, extension):
     assert [p.name for p in tmp_path.iterdir()] == [f"folder{extension}"]
 
 
+@pytest.mark.posix
 def test_devices_are_not_replaced(model, tmp_path):
     os.mkfifo(tmp_path / "pipe.ply")
     with pytest.raises(fg.FastGSError, match="ordinary file"):
@@ -129,7 +129,10 @@ def test_a_failure_changes_nothing(model, tmp_path, monkeypatch, extension, fail
 
 @pytest.mark.usefixtures("quiet")
 @pytest.mark.parametrize("extension", EXTENSIONS)
+@pytest.mark.posix
 def test_a_disk_that_takes_no_more(rng, make_model, tmp_path, extension):
+    import resource
+
     fg.save(make_model(rng), tmp_path / f"m{extension}")
     before, limits = listing(tmp_path), resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (10_000, limits[1]))

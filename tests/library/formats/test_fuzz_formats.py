@@ -169,6 +169,7 @@ def test_files_that_once_harmed_a_reader(tmp_path):
 
 
 @pytest.mark.parametrize("read", [fg.load, identify])
+@pytest.mark.posix
 def test_pipes_and_devices_are_refused_at_once(tmp_path, valid, read):
     os.mkfifo(tmp_path / "m.ply")
     for path in (tmp_path / "m.ply", Path("/dev/zero")):

@@ -23,6 +23,7 @@ def python(tmp_path):
     return make
 
 
+@pytest.mark.posix
 def test_a_driver_that_crashes_ends_one_process_alone(python):
     program = python("echo 'fastgs: testing Arc (1 of 2)' >&2; [ $N -lt 3 ] && kill -SEGV $$\necho '{\"devices\": [], \"auto\": null}'")
     found = Examination("ar", again=True, python=program)
@@ -36,6 +37,7 @@ def test_a_driver_that_crashes_ends_one_process_alone(python):
     assert gone.wait(GUARD) and "No such file" in gone.trouble
 
 
+@pytest.mark.posix
 def test_it_can_be_stopped(python):
     running = Examination(python=python("echo 'fastgs: testing Arc (1 of 1)' >&2; exec sleep 600"))
     until(lambda: running.line == "testing Arc (1 of 1)")

@@ -311,6 +311,7 @@ def test_a_camera_that_films_alone_gives_points_of_what_stands(filmed):
     assert points.t is None or np.isnan(points.t).all()
 
 
+@pytest.mark.posix
 def test_a_run_can_still_be_stopped_by_a_signal_once_pycolmap_is_loaded():
     script = ("import os, signal\n"
               "signal.signal(signal.SIGTERM, lambda *a: print('saved', flush=True))\n"

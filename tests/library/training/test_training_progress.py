@@ -45,6 +45,7 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch)
 
 
 @pytest.mark.parametrize("name", [progress.LOG, progress.STATUS, progress.PLOT])
+@pytest.mark.posix
 def test_a_pipe_in_the_folder_does_not_stop_a_run(tmp_path, clock, capsys, name):
     os.mkfifo(tmp_path / name)
     reporter = progress.Reporter(tmp_path, 100, begin=2, clock=lambda: clock.now)

@@ -188,6 +188,7 @@ def killed_when_held(barrier, process):
 
 
 @pytest.mark.slow
+@pytest.mark.posix
 def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp_path, barrier):
     """Before its first checkpoint, between two, and while one is being written."""
     out, target = tmp_path / "killed", finished[0] / "model.safetensors"
@@ -206,14 +207,15 @@ def test_killed_anywhere_and_resumed_it_gives_the_same_file(files, finished, tmp
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGHUP])
+@pytest.mark.parametrize("number", ["SIGINT", "SIGHUP"])
+@pytest.mark.posix
 def test_ctrl_c_saves_and_stops(files, tmp_path, finished, barrier, number):
     out = tmp_path / "stopped"
     barrier.hold_at("step 7")
     process = begun(*arguments(files, out, "--quiet"))
     barrier.wait(lambda: process.poll() is None)
     assert json.loads((out / "status.json").read_text())["state"] == "training"
-    process.send_signal(number)
+    process.send_signal(getattr(signal, number))
     barrier.release()
     _, said = process.communicate()
     assert process.returncode == 130 and "--resume" in said

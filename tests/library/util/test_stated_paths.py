@@ -27,6 +27,7 @@ def test_what_leads_out_of_the_folder_is_refused_where_it_must_lie_below(stated)
     assert local(HERE, stated) is not None
 
 
+@pytest.mark.posix
 def test_files_of_this_machine():
     assert below(HERE, r".\images\a.png") == local(HERE, "images/a.png") == HERE / "images" / "a.png"
     assert local(HERE, "/data/a.png") == Path("/data/a.png")

@@ -47,12 +47,14 @@ def test_a_signal_while_modules_are_imported(number, place, tmp_path):
 
 
 @pytest.mark.parametrize("place", ["faulthandler", "numpy", "fastgs_blender.cli", "fastgs_blender.captures.clocks.plot"])
+@pytest.mark.posix
 def test_a_signal_while_a_job_of_blender_begins(place, tmp_path):
     command = [sys.executable, str(CHILD), str(ROOT), "", "", "sync", str(tmp_path)]
     assert ended(command, signal.SIGTERM, place, tmp_path) == (130, "fastgs: stopped.\n")
 
 
 @pytest.mark.parametrize("begin", [["-m", "fastgs_blender"], [str(CHILD), str(ROOT), "", ""]], ids=["command", "job"])
+@pytest.mark.posix
 def test_what_is_stopped_while_it_writes_clears_up(begin, tmp_path, rng, make_model):
     hook, out = tmp_path / "hook", tmp_path / "out"
     hook.mkdir()
@@ -65,6 +67,7 @@ def test_what_is_stopped_while_it_writes_clears_up(begin, tmp_path, rng, make_mo
     assert (done.returncode, done.stderr) == (130, "fastgs: stopped.\n") and not list(out.iterdir())
 
 
+@pytest.mark.posix
 def test_programs_that_use_the_library_keep_their_signals():
     program = ("import signal\nbefore = [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)]\n"
                "import fastgs_blender.cli\nassert [signal.getsignal(n) for n in (signal.SIGINT, signal.SIGTERM)] == before\n")
