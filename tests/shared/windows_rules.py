@@ -6,7 +6,6 @@
   name is an error, not an absence.
 * The folders of / are drives: nothing is moved or linked from one to another, and no relative path leads there.
 * Links are for administrators.
-* np.ldexp() takes exponents of C's long at most, which has 32 bits there.
 * The console writes cp1252, that of programs that are started too, where they do not choose otherwise.
 
 Most of it is an audit hook of Python.  It asks whose code is at work, so tests themselves may do what they like.
@@ -18,8 +17,6 @@ import re
 import sys
 from functools import wraps
 from pathlib import Path
-
-import numpy as np
 
 OURS = re.compile(r"^(?!.*[/\\]tests[/\\]).*[/\\](fastgs_blender|scene|engine|operators|ui)[/\\]")
 FORBIDDEN = re.compile(r'[<>:"|?*]|[. ]$|^(con|prn|aux|nul|com\d|lpt\d)(\.|$)', re.IGNORECASE)
@@ -42,7 +39,6 @@ def install() -> None:
     os.environ["PYTHONIOENCODING"] = "cp1252"  # of programs that are started
     sys.addaudithook(hook)
     os.stat, os.lstat = _asked(os.stat), _asked(os.lstat)
-    np.ldexp = _of_short_exponents(np.ldexp)
     os.path.relpath, os.path.commonpath = _on_one_drive(os.path.relpath), _on_one_drive(os.path.commonpath)
     if "_pytest" in sys.modules:
         from _pytest import capture
@@ -156,17 +152,6 @@ def _on_one_drive(function):
         return function(path) if function.__name__ == "commonpath" else function(path, start)
 
     return on_one
-
-
-def _of_short_exponents(ldexp):
-    """np.ldexp() for the integers that it has on Windows; others are converted where they fit, and else refused."""
-    @wraps(ldexp)
-    def of_short(values, exponents, *arguments, **options):
-        if isinstance(exponents, np.ndarray) and exponents.dtype.itemsize > 4:
-            raise TypeError("ufunc 'ldexp' not supported for the input types")
-        return ldexp(values, exponents, *arguments, **options)
-
-    return of_short
 
 
 def _from_us() -> bool:
