@@ -21,9 +21,9 @@ NEIGHBOURS = 8
 """Cameras that each one is compared with by curves: in a large rig not all pairs are."""
 ALIKE, ALONE = 0.5, 0.1
 """Least correlation of two cameras' curves of motion, and how far it must stand above that of other shifts."""
-CHANCE = 3.5
-"""Curves of motion count as alike above this many standard deviations of the correlation that curves of as many samples have by chance, the
-best of several shifts: in 15 frames almost only equal curves are."""
+CHANCE = 4.5
+"""Curves of motion count as alike above this many standard deviations of the correlation that curves of as many samples have by chance, by
+Fisher's z, the best of several shifts: in 15 frames, or 40 of slow motion, almost only equal curves are."""
 LEAST = 0.1
 """Frames by which an offset must differ from 0 to count (captures/evidence.py)."""
 VAGUE = 0.15
@@ -138,7 +138,8 @@ def _aligned(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: lis
     most = max(1, min(int((1 - COMMON_SHARE) * length), length - LEAST_COMMON))
     error, chance = (CURVES_ERROR, CHANCE) if way == "motion" else (FLASH_ERROR, 0.0)
     pairs = [pair for i, j in _pairs(len(lines)) if (pair := compared(lines, i, j, most, error)) is not None]
-    pairs = [pair for pair in pairs if pair.alike >= max(ALIKE, chance / np.sqrt(pair.common)) and pair.alone >= ALONE]
+    pairs = [pair for pair in pairs if pair.alone >= ALONE
+             and pair.alike >= max(ALIKE, np.tanh(chance / np.sqrt(max(pair.common - 3, 1e-6))))]
     offsets, spread = offsets_from_pairs(len(lines), pairs)
     spread = np.hypot(spread, error)  # what curves of several cameras are alike in is wrong in the same way
     values = {shown.views[row]: (offsets[k], spread[k]) for k, row in enumerate(rows)}

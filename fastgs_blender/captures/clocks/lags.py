@@ -24,7 +24,7 @@ class Pair:
     error   standard deviation of the lag
     alone   how much better this lag fits than any other
     alike   the curves' correlation at this lag, -1..1
-    common  samples that both curves have
+    common  samples that both curves have, as many as tell something of their own: what changes slowly is told by each of them again
     """
 
     i: int
@@ -33,7 +33,7 @@ class Pair:
     error: float
     alone: float
     alike: float = 1.0
-    common: int = 0
+    common: float = 0.0
 
 
 def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int, error: float) -> Pair | None:
@@ -56,7 +56,7 @@ def compared(curves: Sequence[np.ndarray], i: int, j: int, most: int, error: flo
     closer = np.array([_alike(a, b, lag) for lag in fine])
     top = int(np.argmax(closer))
     alone = float(closer[top] - max(others.max(initial=0), 0))
-    return Pair(i, j, float(fine[top]), error, alone, float(closer[top]), int(common[best]))
+    return Pair(i, j, float(fine[top]), error, alone, float(closer[top]), float(common[best]) / _repeated(a, b))
 
 
 def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:
@@ -69,6 +69,14 @@ def _alike(a: np.ndarray, b: np.ndarray, lag: float) -> float:
     x, y = x - x.mean(), y - y.mean()
     size = np.sqrt((x @ x) * (y @ y))
     return float(x @ y / size) if size > 1e-12 else -1.0
+
+
+def _repeated(a: np.ndarray, b: np.ndarray) -> float:
+    """How many samples of two curves tell what one would if they did not depend on each other (Bartlett 1946): at least 1."""
+    alone = [line - line.mean() for line in (a, b)]
+    steps = np.arange(1, max(min(len(a), len(b)) // 2, 1))
+    first, second = (np.array([line[step:] @ line[:-step] for step in steps]) / max(line @ line, 1e-12) for line in alone)
+    return float(max(1.0, 1 + 2 * first @ second))
 
 
 def between(values: np.ndarray, places: np.ndarray) -> np.ndarray:

@@ -18,7 +18,7 @@ from uneven_captures import write_uneven
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.clocks import epipolar, lags
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
-from fastgs_blender.captures.clocks.find import by_epipolar_planes, find_offsets
+from fastgs_blender.captures.clocks.find import CHANCE, by_epipolar_planes, find_offsets
 from fastgs_blender.captures.clocks.sound import onsets
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import record
@@ -288,3 +288,16 @@ def test_what_grows_along_a_rig_is_no_clock(tmp_path, monkeypatch, rng):
 def test_values_between_samples():
     values = np.arange(6.0) ** 2
     assert lags.between(values, np.array([2.5, 3.0])) == pytest.approx([6.25, 9.0])
+
+
+def test_slow_curves_have_fewer_samples_of_their_own(rng):
+    """Curves that know nothing of each other: where they change slowly, some shift makes them as alike as fast ones never are."""
+    kinds = {"fast": np.array([1.0]), "slow": np.hanning(11)[1:-1]}
+    for kind, weights in kinds.items():
+        lines = [np.convolve(rng.normal(0, 1, 60), weights, "same")[10:50] for _ in range(24)]
+        pairs = [lags.compared(lines, i, i + 1, 20, 1.0) for i in range(0, 24, 2)]
+        taken = [pair for pair in pairs if pair.alike >= np.tanh(CHANCE / np.sqrt(max(pair.common - 3, 1e-6)))]
+        assert not taken
+        assert kind == "fast" or max(pair.alike * 20**0.5 for pair in pairs) > 3.5  # what counted once
+        share = np.mean([pair.common for pair in pairs]) / 40
+        assert share > 0.6 if kind == "fast" else share < 0.4
