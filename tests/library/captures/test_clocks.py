@@ -16,7 +16,8 @@ from toy_captures import toy_scene
 from uneven_captures import write_uneven
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.captures.clocks import epipolar, lags
+from fastgs_blender.captures.clocks import epipolar, find, lags
+from fastgs_blender.captures.clocks.curves import curves
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
 from fastgs_blender.captures.clocks.find import CHANCE, by_epipolar_planes, find_offsets
 from fastgs_blender.captures.clocks.sound import onsets
@@ -288,6 +289,13 @@ def test_what_grows_along_a_rig_is_no_clock(tmp_path, monkeypatch, rng):
 def test_values_between_samples():
     values = np.arange(6.0) ** 2
     assert lags.between(values, np.array([2.5, 3.0])) == pytest.approx([6.25, 9.0])
+
+
+def test_two_cameras_that_are_alike_are_not_against_all_others(shifted, monkeypatch):
+    capture, two = open_capture(shifted, offsets={}), [lags.Pair(0, 2, 7.3, 1.0, 0.5, 0.95, 40.0)]
+    monkeypatch.setattr(find, "compared", lambda lines, i, j, most, error: two[0] if (i, j) == (0, 2) else None)
+    with pytest.raises(FastGSError, match="too different"):
+        find._by_curves(capture, curves(capture))
 
 
 def test_slow_curves_have_fewer_samples_of_their_own(rng):
