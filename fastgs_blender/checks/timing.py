@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
 from ..captures.clocks.curves import activity, moving
-from ..captures.clocks.find import LEAST, Found, find_offsets, stated_offsets
+from ..captures.clocks.find import LEAST, Found, find_offsets
 from ..captures.evidence import differs
 from ..util.errors import FastGSError
 from . import drawing
@@ -29,16 +29,14 @@ def run(inspection: Inspection) -> Section:
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs sync "
                     "on that part of it; else look at two cameras side by side.")
         return section
-    stated = stated_offsets(capture.shots, count)
-    off = {view: value - stated[view] for view, value in found.measured.items()}
-    _judge(section, found, off)
+    _judge(section, found)
     if found.curves is not None:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
         if lines:
             section.pictures.append(drawing.curves("How much moves from frame to frame, as it is compared: the curves of cameras that run "
                                                    "together rise and fall together.", lines, "frames", "motion", found.curves.first))
     spread = found.clocks.uncertainty
-    offsets = {view: off[view] for view in capture.views if view in spread and view not in found.lost}
+    offsets = {view: found.measured[view] for view in capture.views if view in spread and view not in found.lost}
     section.columns = {"Clock": {view: f"{offsets[view]:+.2f} ± {spread[view]:.2f} frames" if view in offsets else "unsure"
                                  for view in capture.views}}
     section.measures = {"offsets_frames": {view: round(value, 4) for view, value in offsets.items()}, "found_by": found.clocks.found_by,
@@ -47,9 +45,9 @@ def run(inspection: Inspection) -> Section:
     return section
 
 
-def _judge(section: Section, found: Found, off: dict[str, float]) -> None:
+def _judge(section: Section, found: Found) -> None:
     for view, deviation in found.clocks.uncertainty.items():
-        value = off[view]
+        value = found.measured[view]
         if view in found.lost or not differs(value, deviation, LEAST):
             continue
         way = "ahead of" if value > 0 else "behind"

@@ -58,6 +58,7 @@ def run(args: argparse.Namespace) -> None:
                 raise
             note(f"{error} The training begins with equal clocks.")
             clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0) | dict(first), {}, "training"), None
+            lost = tuple(capture.views)
     if refine:
         from ..training.core.costs import estimate
         from ..training.run.clocks import GAUSSIANS, SIDE, STEPS, refined

@@ -41,6 +41,7 @@ class Found:
     curves  of what moves, or None where they were not needed
     lost    views whose clock is unsure: it could not be compared, or not well enough
     measured  the offsets as they were found, by view, also those that are not surely different from 0
+    All are against the times that the capture's shots have.
     """
 
     clocks: Clocks
@@ -147,8 +148,11 @@ def _aligned(capture: Capture, shown: Curves, lines: list[np.ndarray], rows: lis
 
 
 def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, shown: Curves | None, vague: float = np.inf) -> Found:
-    """Found of (offset, standard deviation) by view: an offset is taken where it is surely not 0."""
+    """Found of (offset, standard deviation) by view, in the frames of the capture: an offset is taken where it surely differs from the one
+    that the capture's times state."""
     offsets, lost = dict.fromkeys(capture.views, 0.0), []
+    stated = stated_offsets(capture.shots, capture.clip.frame_count)
+    values = {view: (offset - stated[view], deviation) for view, (offset, deviation) in values.items()}
     for view in capture.views:
         offset, deviation = values.get(view, (np.nan, np.inf))
         if differs(offset, deviation, LEAST):
@@ -160,7 +164,7 @@ def _found(capture: Capture, values: dict[str, tuple[float, float]], way: str, s
 
 
 def stated_offsets(shots: Sequence[Shot], frame_count: int) -> dict[str, float]:
-    """The offsets that the times of shots state, by view, with the median 0: those of a sync.json, or of times that the layout has."""
+    """How much the times of shots differ from their frames, by view, less the median: fractions of a sync.json, or the layout's times."""
     late: dict[str, list[float]] = {}
     for shot in shots:
         late.setdefault(shot.view, []).append(shot.t * frame_count - shot.frame)

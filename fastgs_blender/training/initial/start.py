@@ -8,7 +8,7 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...captures.capture import Capture, Shot
-from ...captures.clocks.find import by_epipolar_planes, stated_offsets
+from ...captures.clocks.find import by_epipolar_planes
 from ..core.camera_response import FARTHEST, CameraResponse, CorrectedStore
 from ..core.settings import Settings
 from ..core.start import Start
@@ -58,11 +58,9 @@ def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Calla
     found = by_epipolar_planes(replace(capture, shots=capture.films), pictures=pictures)
     if found is None:
         return None
-    offsets, stated = found.clocks.offsets, stated_offsets(capture.films, capture.clip.frame_count)
-    unknown = {*found.lost, *(set(views) - set(stated))}
-    expected = np.array([(0.0, 0.0) if view in unknown else (found.measured[view] - stated[view], found.clocks.uncertainty[view])
-                         for view in views])
-    apart = {view: late for view in stated if view not in found.lost and abs(late := offsets[view] - stated[view]) > FARTHEST}
+    known = set(found.measured) - set(found.lost)
+    expected = np.array([(found.measured[view], found.clocks.uncertainty[view]) if view in known else (0.0, 0.0) for view in views])
+    apart = {view: late for view, late in found.clocks.offsets.items() if abs(late) > FARTHEST}
     if apart:
         say("clocks differ by more frames than training corrects: " + ", ".join(f"{view} {value:+.1f}" for view, value in apart.items())
             + "; run fastgs sync on this capture")

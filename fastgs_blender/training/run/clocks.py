@@ -13,6 +13,7 @@ from ...captures.clocks.files import Clocks
 from ...captures.pixels.probe import picture_size
 from ...captures.pixels.store import FrameStore
 from ...util.errors import FastGSError
+from ..core.camera_response import FARTHEST
 from ..core.settings import settings
 from ..core.start import Start
 from ..core.trainer import Trainer
@@ -38,16 +39,22 @@ def refined(path: str | Path, first: Clocks, lost: Collection[str] = (), layout:
     progress  called as progress(done, of) after each step;  starting: in the same way while starting points are looked for
     Raises FastGSError where the capture has no poses or nothing can be trained on.
     """
-    capture = _small(path, first.offsets, layout, frames)
-    if not capture.posed:
-        raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
+    chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, init_points=POINTS, preview_every=0)
     with tempfile.TemporaryDirectory() as folder:
-        store = FrameStore(capture, folder=Path(folder))
-        store.fill()
-        chosen = settings("draft", iterations=steps, max_gaussians=GAUSSIANS, init_points=POINTS, preview_every=0)
-        expected = expected_clocks(capture, store, chosen)
-        if expected is None or not expected[:, 1].any():
-            return first, tuple(lost)
+        for again in (True, False):
+            capture = _small(path, first.offsets, layout, frames)
+            if not capture.posed:
+                raise FastGSError(f"{capture.path}: it has no poses, and clocks are refined with them alone.")
+            store = FrameStore(capture, folder=Path(folder, str(again)))
+            store.fill()
+            expected = expected_clocks(capture, store, chosen, lambda text: None)
+            if expected is None or not expected[:, 1].any():
+                return first, tuple(lost)
+            far = {view: late for view, late in zip(capture.training_views, expected[:, 0]) if abs(late) > FARTHEST}
+            if not far or not again:
+                break
+            # No training would get there: it begins there.
+            first = replace(first, offsets={view: first.offsets.get(view, 0.0) + far.get(view, 0.0) for view in capture.views})
         began = start(capture, store, replace(chosen, clocks="off"), lambda text: None, starting)
         trainer = Trainer(capture, store, chosen, Start(began.model, began.sizes, began.depth, clocks=expected))
         response = trainer.cameras.response

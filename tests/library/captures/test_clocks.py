@@ -47,6 +47,13 @@ def test_offsets_are_found_by_motion(shifted):
     assert all(0.02 < deviation < 0.1 for deviation in found.clocks.uncertainty.values())
 
 
+def test_offsets_are_against_those_that_the_capture_has(shifted):
+    """As after a satellite's time: what it knows already is not found once more, fractions neither."""
+    found = find_offsets(open_capture(shifted, offsets={"cam02": 7.3, "cam03": -2.4}))
+    assert found.measured == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 0, "cam03": -1.2, "cam04": 0}, abs=0.15)
+    assert {view for view, offset in found.clocks.offsets.items() if offset} == {"cam03"}
+
+
 def test_without_poses_curves_of_motion_tell_large_offsets_alone(shifted, tmp_path):
     """Curves of genlocked cameras differ by a frame or two, so that such offsets are taken for nothing."""
     for view in range(5):

@@ -15,6 +15,7 @@ from fastgs_blender.checks import timing
 from fastgs_blender.checks.samples import Inspection
 from fastgs_blender.cli import main
 from fastgs_blender.training.run import clocks
+from fastgs_blender.util.errors import FastGSError
 
 OFFSETS = {"cam02": 3.4}
 
@@ -53,6 +54,20 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (240, 240)
     assert len(began) > 1, "finding starting points takes the longer part"
     assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
+
+
+@pytest.mark.slow
+def test_training_begins_anew_where_a_clock_is_farther_than_it_corrects(shifted, monkeypatch, capsys):
+    """The search found nothing; the small pictures of the training show 3.4 frames, of which training corrects 1.5."""
+    def nothing(*_):
+        raise FastGSError("what moves looks too different from camera to camera")
+
+    monkeypatch.setattr("fastgs_blender.captures.clocks.find.find_offsets", nothing)
+    monkeypatch.setattr(clocks, "STEPS", 240)
+    monkeypatch.setattr(clocks.refined, "__defaults__", ((), None, 240))
+    assert main(["sync", str(shifted), "--quiet", "--json"]) == 0
+    values = json.loads(capsys.readouterr().out)
+    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.25) and not values["lost"]
 
 
 def test_what_cannot_be_found_is_told(tmp_path, capsys):
