@@ -87,4 +87,4 @@ def _sizes(counts: Counter) -> str:
 
 
 def _some(names: list[str], most: int = 8) -> str:
-    return ", ".join(names[:most]) + (f" ... {names[-1]}" if len(names) > most else "")
+    return ", ".join(names) if len(names) <= most + 1 else f"{', '.join(names[:most])} ... {names[-1]}"

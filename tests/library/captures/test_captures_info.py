@@ -88,3 +88,9 @@ assert not {{"numba", "torch", "av", "OpenEXR", "pycolmap"}} & set(sys.modules)
 """
     result = subprocess.run([sys.executable, "-c", program], cwd=ROOT, capture_output=True, text=True, check=False)
     assert result.returncode == 0, result.stderr
+
+
+@pytest.mark.parametrize(("count", "said"), [(9, "cam07, cam08"), (10, "cam07 ... cam09")])
+def test_many_cameras_are_named_by_their_ends(run, tmp_path, count, said):
+    out = run("info", write_capture(tmp_path / "many", views=count))[1]
+    assert said in " ".join(out.split())
