@@ -55,12 +55,15 @@ class Lines(Progress):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.begun = self.shown = self.clock()
+        self.begun = self.since = self.shown = self.clock()
         self.first = self.last = self.n
 
     def to(self, done: int, total: int | None = None) -> None:
         super().to(done, total)
-        if self.clock() - self.shown >= SECONDS:
+        now = self.clock()
+        if done <= self.first:
+            self.since = now  # what comes before the first piece says nothing of how long pieces take
+        if now - self.shown >= SECONDS:
             self._show()
 
     def close(self) -> None:
@@ -70,7 +73,7 @@ class Lines(Progress):
     def _show(self) -> None:
         self.shown, self.last = self.clock(), self.n
         spent = self.shown - self.begun
-        rate = self.rate() if self.rate else (self.n - self.first) / max(spent, 1e-9)
+        rate = self.rate() if self.rate else (self.n - self.first) / max(self.shown - self.since, 1e-9)
         left = f", {clock_text((self.total - self.n) / rate)} left" if rate > 0 and self.n < self.total else ""
         note = f", {self.text}" if self.text else ""
         share = f"{100 * self.n // max(self.total, 1)} %"

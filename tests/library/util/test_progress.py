@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from fastgs_blender.util.progress import estimated
+from fastgs_blender.util.progress import Lines, estimated
 
 
 def test_long_work_is_announced_and_measured():
@@ -21,3 +21,11 @@ def test_short_and_interrupted_work_says_nothing_afterwards():
     with pytest.raises(KeyboardInterrupt), estimated("training", 90.0, said.append):
         raise KeyboardInterrupt
     assert len(said) == 1
+
+
+def test_what_comes_before_the_first_piece_is_not_counted_in_the_time_left(capsys):
+    now = [0.0]
+    lines = Lines(100, "step", "refining", clock=lambda: now[0])
+    for now[0], done in (10.0, 0), (30.0, 0), (31.0, 1), (50.0, 20):
+        lines.to(done)
+    assert capsys.readouterr().err.splitlines()[-1] == "refining: 20/100 steps (20 %), 0:50 so far, 1:20 left"
