@@ -64,6 +64,17 @@ def _rows(exposure: dict) -> list:
     return [exposure["gain"], exposure["bias"], exposure.get("fade", [0.0] * 3)]
 
 
+def _most(channels: list[float]) -> float:
+    return max(abs(value - 1) for value in channels)
+
+
+def _exposure(channels: list[float]) -> str:
+    """How bright a camera shows a grey, against the others, and the channel that differs from that, if one does."""
+    middle = sum(channels) / 3
+    name, value = max(zip(("red", "green", "blue"), channels), key=lambda item: abs(item[1] - middle))
+    return f"{middle:.2f}" + (f" ({name} {value:.2f})" if abs(value - middle) >= 0.02 else "")
+
+
 def sentence(found: dict) -> str:
     """What corrections() gave, for people."""
     parts = []
@@ -71,9 +82,9 @@ def sentence(found: dict) -> str:
         late = sorted(clocks.items(), key=lambda item: -abs(item[1]))
         parts.append("clocks differ, in frames: " + ", ".join(f"{view} {value:+.2f}" for view, value in late[:6]))
     if exposures := found.get("exposures"):
-        middle = {view: sum(0.5 * g + b for g, b in zip(each["gain"], each["bias"])) / 1.5 for view, each in exposures.items()}
-        parts.append("exposures differ, and were evened: " + ", ".join(
-            f"{view} {value:.2f}" for view, value in sorted(middle.items(), key=lambda item: -abs(item[1] - 1))[:6]))
+        grey = {view: [2 * (0.5 * g + b) for g, b in zip(each["gain"], each["bias"])] for view, each in exposures.items()}
+        changed = sorted((view for view in grey if _most(grey[view]) >= 0.005), key=lambda view: -_most(grey[view])) or list(grey)
+        parts.append("exposures differ, and were evened: " + ", ".join(f"{view} {_exposure(grey[view])}" for view in changed[:6]))
         if changing := [view for view, each in exposures.items() if "fade" in each]:
             parts.append(f"exposures change over the clip, and were evened: {', '.join(changing)}")
     if changes := found.get("cameras"):

@@ -15,7 +15,7 @@ from fastgs_blender import cli
 from fastgs_blender.evaluation import metrics
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.perceptual import Flip
-from fastgs_blender.evaluation.training_record import KEY, recorded
+from fastgs_blender.evaluation.training_record import KEY, recorded, sentence
 
 FRAMES = 4
 
@@ -141,3 +141,9 @@ def test_borders_that_a_lens_leaves_out_count_in_no_measure():
         assert found[name] == pytest.approx(getattr(metrics, name)(picture[:, inside], truth[:, inside]), abs=1e-6), name
     diluted = Flip()(picture * valid[..., None], truth * valid[..., None])
     assert found["flip"] > 1.2 * diluted, "borders that are black in both pictures make the mean better by a third"
+
+
+def test_a_camera_of_another_white_balance_is_named_with_its_colour():
+    found = {"exposures": {"even": {"gain": [1.001, 1.0, 1.002], "bias": [0, 0, 0]}, "dark": {"gain": [0.8, 0.8, 0.8], "bias": [0.05] * 3},
+                           "cold": {"gain": [1.1, 1.0, 0.85], "bias": [0, 0, 0]}}}
+    assert sentence(found) == "exposures differ, and were evened: cold 0.98 (blue 0.85), dark 0.90"
