@@ -55,7 +55,7 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
         layout = Layout(moved, False, {"shares": shares(moved, objects)} if objects else None, holdout is not None, by_pixel)
         splats = project_instances(moved, eye, layout)
         if len(samples) > 1:
-            _draw_out(splats, keep, paths, len(samples) - 1)
+            _draw_out(splats, keep[_gaussians(splats, moved)], paths, len(samples) - 1)
         weights = np.array(sample.weights, np.float32)[levels]
         hidden_by = exposure.holdout(holdout, sample.time)
         picture = rasterise(splats.order(), splats.geometry, splats.attributes, splats.channels, eye, wanted=weights > 0, holdout=hidden_by,
@@ -73,21 +73,17 @@ def expose(exposure: Exposure, instances, camera, colours: bool, colour_of, prog
 def _snapshot(moved, eye, total: int) -> Snapshot:
     """The Snapshot of all Gaussians of a scene."""
     splats, look = project_instances(moved, eye, Layout(moved, False)), Snapshot.nothing(total)
-    at, rows = _gaussians(splats), splats.index
+    at, rows = _gaussians(splats, moved), splats.index
     look.seen[at], look.mean[at], look.root[at] = True, splats.geometry[rows, :2], splats.geometry[rows, raster.L11:] / SCALE
     look.size[at] = splats.attributes[rows, raster.RADIUS_X:raster.RADIUS_Y + 1]
     look.opacity[at] = np.exp2(splats.attributes[rows, raster.LOG2_OPACITY])
     return look
 
 
-def _gaussians(splats: ProjectedSplats) -> np.ndarray:
-    """Which Gaussian, counted through all instances, each row that was written is."""
-    parts, offset = [], 0
-    for pieces in splats.runs:
-        begin = pieces[0][0] if pieces else 0
-        parts += [begin + splats.source[first:first + number] for first, number in pieces]
-        offset = begin
-    return np.concatenate(parts) if parts else np.empty(offset, np.int32)
+def _gaussians(splats: ProjectedSplats, instances) -> np.ndarray:
+    """Which Gaussian, counted through all instances, each row of splats.index is."""
+    counts, sizes = [sum(number for _, number in pieces) for pieces in splats.runs], [len(each.model) for each in instances]
+    return splats.source[splats.index] + np.repeat(np.cumsum([0, *sizes[:-1]])[:len(sizes)], counts)
 
 
 def _picked(instances, touching):
@@ -104,10 +100,10 @@ def _picked(instances, touching):
     return out, np.concatenate(keep) if keep else np.empty(0, np.int64)
 
 
-def _draw_out(splats: ProjectedSplats, keep: np.ndarray, paths: Paths, count: int):
+def _draw_out(splats: ProjectedSplats, at: np.ndarray, paths: Paths, count: int):
     """Widen the splats that move too far between two samples along their way, or all around where the lens spreads them; their optical
     depth spreads with them, so that what is opaque stays so."""
-    rest = splats.index, keep[_gaussians(splats)], paths.needed, paths.shift, paths.blur, count, splats.geometry, splats.attributes
+    rest = splats.index, at, paths.needed, paths.shift, paths.blur, count, splats.geometry, splats.attributes
     run(lambda first, last: draw_out(first, last, *rest), portions(len(splats.index)))
 
 

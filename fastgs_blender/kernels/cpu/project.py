@@ -26,8 +26,6 @@ RGB, SH, FEATURES = range(3)
 REACH = oracle.REACH
 ROUNDING = 1.001
 """Factor to the square of a reach, so that what is culled early is nothing that the window shows."""
-BLOCK = 512
-"""Gaussians that are culled before what is left of them is projected."""
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
 """Rows of what is made of eight Gaussians, after a splat's geometry."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
@@ -206,17 +204,21 @@ def _may_show(x, y, z, largest, coarse, view, lens, bounds):
     return shows
 
 
-@inline
-def _opaque(first, last, boxes, look, arrays, times, view, lens, constants, number, found):
+@kernel
+def opaque(first, last, boxes, look, arrays, times, view, lens, constants, number, found):
     """The Gaussians of first..last that are opaque enough at this time and may be seen; returns how many.
 
-    Writes which they are into number, and their opacity and place into found [4, BLOCK + LANES].
+    Writes which they are into number, and their opacity and place into found [4, last - first + LANES].
+
+    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
+    the rest   see project()
     """
     crops, ball, hidden = boxes
     position, _, scale, opacity, _, motion, _, mu_tau, temporal = arrays
     t, temporal_code, (index, weights, centred), _ = times
     blur, _, alpha_cut, _, orthographic, (captured, _), bends = constants
-    (row0, row1, row2, shift, _), near, far = view, lens[4], lens[5]
+    rows, near, far = rows_of(view), lens[4], lens[5]
+    row0, row1, row2, shift, _ = rows
     log2_cut, sized, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, captured[PIXEL] > 0.0
     finer = 1.0 / captured[PIXEL] if sampled else 0.0
     hides, filtered, count = len(crops[1]) > 0, len(hidden) > 0, 0
@@ -235,7 +237,7 @@ def _opaque(first, last, boxes, look, arrays, times, view, lens, constants, numb
         if sized:
             largest *= size_factor(largest, look)
         reach = 2.0 * math.log(2.0) * ROUNDING * (log2(sigma) - log2_cut)
-        alive &= _may_show(x, y, z, largest, far_squared(px, py, pz, captured), view, lens, (reach, blur, finer, orthographic, bends))
+        alive &= _may_show(x, y, z, largest, far_squared(px, py, pz, captured), rows, lens, (reach, blur, finer, orthographic, bends))
         put(found, 0, count, sigma)
         put(found, 1, count, px)
         put(found, 2, count, py)
@@ -256,10 +258,9 @@ def _opaque(first, last, boxes, look, arrays, times, view, lens, constants, numb
 
 
 @kernel
-def project(first, last, boxes, look, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
-    """Project the Gaussians first..last; write those that can be seen from row `first` on and return their number.
+def project(row, count, number, found, look, arrays, times, view, lens, constants, channel_plan, geometry, attributes, depth, source):
+    """Project the `count` Gaussians that opaque() found; write those that can be seen from `row` on and return their number.
 
-    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
     look       [LOOK_NUMBERS] float64, see rendering/looks.py
     arrays     position, rotation, scale, opacity, features, motion, rotation_motion, mu_tau, temporal of the model
     times      (t, temporal code, (index, weights, centred) of the motion, the same of the rotation)
@@ -279,121 +280,118 @@ def project(first, last, boxes, look, arrays, times, view, lens, constants, chan
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
     log2_cut, sized, graded, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, sampling[0][PIXEL] > 0.0
-    number, found, made = np.empty(BLOCK, np.int64), np.empty((4, BLOCK + LANES)), np.empty((PLANE + 3, LANES))
-    out = first
-    for begin in range(first, last, BLOCK):
-        count = _opaque(begin, min(begin + BLOCK, last), boxes, look, arrays, times, rows_of(view), lens, constants, number, found)
-        for k in range(0, count, LANES):
-            n = picked(number, k, count)
-            sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
-            x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
-            delta = t - mu_tau[n]
-            qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
-            mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
-            # columns of the rotation matrix, turned into the camera, projected and scaled
-            axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
-            scale0, scale1, scale2 = exp(scale[n, 0]), exp(scale[n, 1]), exp(scale[n, 2])
-            largest = max(scale0, scale1, scale2)
-            resized = size_factor(largest, look) if sized else 1.0
-            if bends and not orthographic:
-                beside = (a02 != -(x / z)) | (a12 != -(y / z))
-                if anywhere(beside):
-                    near_by = where(beside, _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, scale0 * resized),
-                                                      _turned(axis1, row0, row1, row2, scale1 * resized),
-                                                      _turned(axis2, row0, row1, row2, scale2 * resized)), per_depth)
-                    moved = near_by != per_depth
-                    mx = where(moved, fx * ((x + a02 * z) * near_by - a02) + lens[2], mx)
-                    my = where(moved, fy * ((y + a12 * z) * near_by - a12) + lens[3], my)
-                    per_depth = near_by
-            u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
-            u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
-            u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
-            unit = per_depth
-            if sized:
-                unit *= resized
-            size0, size1, size2 = scale0 * unit, scale1 * unit, scale2 * unit
-            u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
-            blur, small = trained_blur, trained_blur
-            if sampled:
-                blur, small = blurs(px, py, pz, 1.0 if orthographic else z, largest * resized, trained_blur, sampling)
-            s00, s01, s11, sharp, det = _covariance(u, v, blur)
-            alive = (det > 0.0) & (s00 + s11 < np.inf)
-            if antialiased:
-                sigma *= math.sqrt(sharp / det)
-                alive &= sigma >= alpha_cut
-            log2_sigma = log2(sigma)
-            reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
-            radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
-            alive &= (mx + radius_x >= left) & (mx - radius_x <= right) & (my + radius_y >= top) & (my - radius_y <= bottom)
-            if not anywhere(alive):
-                continue
-            if sampled:
-                faded = small < blur
-                area = sharp + small * (s00 + s11 - 2.0 * blur) + small * small
-                faint = where(faded, 0.5 * log2(where(faded, area / det, 1.0)), 0.0)
-                alive &= (area > 0.0) | (small >= blur)
-                put(made, LOG2_CUT, 0, log2_cut + faint)
-                log2_sigma += faint
-            root = math.sqrt(s11)
-            l22, whole = SCALE / root, 1.0 / math.sqrt(det)
-            put(made, raster.MEAN_X, 0, mx)
-            put(made, raster.MEAN_Y, 0, my)
-            put(made, raster.L11, 0, SCALE * root * whole)
-            put(made, raster.L21, 0, -s01 * l22 * whole)
-            put(made, raster.L22, 0, l22)
-            put(made, LOG2_OPACITY, 0, log2_sigma)
-            put(made, RADIUS_X, 0, radius_x + 1e-3)
-            put(made, RADIUS_Y, 0, radius_y + 1e-3)
-            put(made, DEPTH, 0, z)
-            put(made, DELTA, 0, delta)
-            if plane_channel >= 0:
-                d0, d1, d2 = _depths(axis0, axis1, axis2, row2, scale0 * resized, scale1 * resized, scale2 * resized)
-                less, area = (0.0, det) if blurred else (blur, sharp)
-                slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
-                put(made, PLANE, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))
-                put(made, PLANE + 1, 0, slope_x)
-                put(made, PLANE + 2, 0, slope_y)
+    made, out = np.empty((PLANE + 3, LANES)), row
+    for k in range(0, count, LANES):
+        n = picked(number, k, count)
+        sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
+        x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        delta = t - mu_tau[n]
+        qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
+        mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
+        # columns of the rotation matrix, turned into the camera, projected and scaled
+        axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
+        scale0, scale1, scale2 = exp(scale[n, 0]), exp(scale[n, 1]), exp(scale[n, 2])
+        largest = max(scale0, scale1, scale2)
+        resized = size_factor(largest, look) if sized else 1.0
+        if bends and not orthographic:
+            beside = (a02 != -(x / z)) | (a12 != -(y / z))
+            if anywhere(beside):
+                near_by = where(beside, _nearness(x, y, z, -a02, -a12, _turned(axis0, row0, row1, row2, scale0 * resized),
+                                                  _turned(axis1, row0, row1, row2, scale1 * resized),
+                                                  _turned(axis2, row0, row1, row2, scale2 * resized)), per_depth)
+                moved = near_by != per_depth
+                mx = where(moved, fx * ((x + a02 * z) * near_by - a02) + lens[2], mx)
+                my = where(moved, fy * ((y + a12 * z) * near_by - a12) + lens[3], my)
+                per_depth = near_by
+        u0, v0 = _project_axis(axis0, row0, row1, row2, a02, a12)
+        u1, v1 = _project_axis(axis1, row0, row1, row2, a02, a12)
+        u2, v2 = _project_axis(axis2, row0, row1, row2, a02, a12)
+        unit = per_depth
+        if sized:
+            unit *= resized
+        size0, size1, size2 = scale0 * unit, scale1 * unit, scale2 * unit
+        u, v = (fx * u0 * size0, fx * u1 * size1, fx * u2 * size2), (fy * v0 * size0, fy * v1 * size1, fy * v2 * size2)
+        blur, small = trained_blur, trained_blur
+        if sampled:
+            blur, small = blurs(px, py, pz, 1.0 if orthographic else z, largest * resized, trained_blur, sampling)
+        s00, s01, s11, sharp, det = _covariance(u, v, blur)
+        alive = (det > 0.0) & (s00 + s11 < np.inf)
+        if antialiased:
+            sigma *= math.sqrt(sharp / det)
+            alive &= sigma >= alpha_cut
+        log2_sigma = log2(sigma)
+        reach = 2.0 * math.log(2.0) * (log2_sigma - log2_cut)
+        radius_x, radius_y = math.sqrt(reach * s00), math.sqrt(reach * s11)
+        alive &= (mx + radius_x >= left) & (mx - radius_x <= right) & (my + radius_y >= top) & (my - radius_y <= bottom)
+        if not anywhere(alive):
+            continue
+        if sampled:
+            faded = small < blur
+            area = sharp + small * (s00 + s11 - 2.0 * blur) + small * small
+            faint = where(faded, 0.5 * log2(where(faded, area / det, 1.0)), 0.0)
+            alive &= (area > 0.0) | (small >= blur)
+            put(made, LOG2_CUT, 0, log2_cut + faint)
+            log2_sigma += faint
+        root = math.sqrt(s11)
+        l22, whole = SCALE / root, 1.0 / math.sqrt(det)
+        put(made, raster.MEAN_X, 0, mx)
+        put(made, raster.MEAN_Y, 0, my)
+        put(made, raster.L11, 0, SCALE * root * whole)
+        put(made, raster.L21, 0, -s01 * l22 * whole)
+        put(made, raster.L22, 0, l22)
+        put(made, LOG2_OPACITY, 0, log2_sigma)
+        put(made, RADIUS_X, 0, radius_x + 1e-3)
+        put(made, RADIUS_Y, 0, radius_y + 1e-3)
+        put(made, DEPTH, 0, z)
+        put(made, DELTA, 0, delta)
+        if plane_channel >= 0:
+            d0, d1, d2 = _depths(axis0, axis1, axis2, row2, scale0 * resized, scale1 * resized, scale2 * resized)
+            less, area = (0.0, det) if blurred else (blur, sharp)
+            slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
+            put(made, PLANE, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))
+            put(made, PLANE + 1, 0, slope_x)
+            put(made, PLANE + 2, 0, slope_y)
 
-            lanes = bits(alive)
-            for lane in range(min(LANES, count - k)):
-                if not lanes >> lane & 1:
-                    continue
-                i = number[k + lane]
-                if appearance == SH:
-                    dx, dy, dz, _ = _direction(found[1, k + lane], found[2, k + lane], found[3, k + lane], eye, orthographic)
-                    sh_colour(features, i, degree, dx, dy, dz, terms, colour)
-                elif graded:
-                    for c in range(3):
-                        colour[c] = features[i, c]
-                if graded:
-                    grade(colour, look)
-                good = True
-                for c in range(raster.CHANNEL, attributes.shape[1]):
-                    attributes[out, c] = float32(0.0)
-                for c in range(9 if appearance == FEATURES else 3):
-                    value = colour[c] if appearance == SH or graded else np.float64(features[i, c])
-                    if c >= 6:
-                        value *= made[DELTA, lane]
-                    good = good and abs(value) <= LIMIT
-                    attributes[out, raster.CHANNEL + channel + c] = value
-                if not good:
-                    continue
-                if weight_channel >= 0:
-                    attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
-                if depth_channel >= 0:
-                    attributes[out, raster.CHANNEL + depth_channel] = made[DEPTH, lane]
-                if plane_channel >= 0:
-                    for c in range(3):
-                        attributes[out, raster.CHANNEL + plane_channel + c] = made[PLANE + c, lane]
-                for c in range(5):
-                    geometry[out, c] = made[c, lane]
-                attributes[out, raster.LOG2_OPACITY] = made[LOG2_OPACITY, lane]
-                attributes[out, raster.ALPHA_MAX] = alpha_max
-                attributes[out, raster.LOG2_CUT] = made[LOG2_CUT, lane] if sampled else log2_cut
-                attributes[out, raster.DEPTH] = made[DEPTH, lane]
-                attributes[out, raster.RADIUS_X] = made[RADIUS_X, lane]
-                attributes[out, raster.RADIUS_Y] = made[RADIUS_Y, lane]
-                depth[out] = made[DEPTH, lane]
-                source[out] = i
-                out += 1
-    return out - first
+        lanes = bits(alive)
+        for lane in range(min(LANES, count - k)):
+            if not lanes >> lane & 1:
+                continue
+            i = number[k + lane]
+            if appearance == SH:
+                dx, dy, dz, _ = _direction(found[1, k + lane], found[2, k + lane], found[3, k + lane], eye, orthographic)
+                sh_colour(features, i, degree, dx, dy, dz, terms, colour)
+            elif graded:
+                for c in range(3):
+                    colour[c] = features[i, c]
+            if graded:
+                grade(colour, look)
+            good = True
+            for c in range(raster.CHANNEL, attributes.shape[1]):
+                attributes[out, c] = float32(0.0)
+            for c in range(9 if appearance == FEATURES else 3):
+                value = colour[c] if appearance == SH or graded else np.float64(features[i, c])
+                if c >= 6:
+                    value *= made[DELTA, lane]
+                good = good and abs(value) <= LIMIT
+                attributes[out, raster.CHANNEL + channel + c] = value
+            if not good:
+                continue
+            if weight_channel >= 0:
+                attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
+            if depth_channel >= 0:
+                attributes[out, raster.CHANNEL + depth_channel] = made[DEPTH, lane]
+            if plane_channel >= 0:
+                for c in range(3):
+                    attributes[out, raster.CHANNEL + plane_channel + c] = made[PLANE + c, lane]
+            for c in range(5):
+                geometry[out, c] = made[c, lane]
+            attributes[out, raster.LOG2_OPACITY] = made[LOG2_OPACITY, lane]
+            attributes[out, raster.ALPHA_MAX] = alpha_max
+            attributes[out, raster.LOG2_CUT] = made[LOG2_CUT, lane] if sampled else log2_cut
+            attributes[out, raster.DEPTH] = made[DEPTH, lane]
+            attributes[out, raster.RADIUS_X] = made[RADIUS_X, lane]
+            attributes[out, raster.RADIUS_Y] = made[RADIUS_Y, lane]
+            depth[out] = made[DEPTH, lane]
+            source[out] = i
+            out += 1
+    return out - row

@@ -2,6 +2,7 @@
 """Projects instances to splats (slice, crop, cull, project), on all threads; forward and backward pass."""
 from __future__ import annotations
 
+import threading
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,6 +16,7 @@ from ...rendering.looks import Look
 from ...rendering.quantities import Shown
 from ...util.threads import portions, run
 from . import project, raster
+from .lanes import LANES
 from .memory import empty
 from .project_backward import project_backward as project_rows_backward
 from .rasterise import RasterGradients
@@ -22,16 +24,19 @@ from .sort import order_by
 
 CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
 
+GAUSSIANS = 65_536
+"""Gaussians in one piece of work, at most: it takes two kernels, and calling these takes some 20 us each."""
+
 
 @dataclass(frozen=True, eq=False)
 class ProjectedSplats:
-    """The splats of all instances in arrays with a row for every Gaussian, of which only some are written.
+    """The splats of all instances in arrays with room for every Gaussian, of which only the first rows are written, and so take memory.
 
     geometry, attributes  see raster.py
     depth   [rows] float32, along the view axis
     source  [rows] int32: which Gaussian of its instance each row is
-    runs    for each instance, the first row and the number of rows written for each piece of it
-    index   [V] int32: the rows written
+    runs    for each instance, the first row and the number of rows written for each piece of it; pieces lie in any order
+    index   [V] int32: the rows written, in the order of their Gaussians
     """
 
     geometry: np.ndarray
@@ -57,17 +62,24 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
     total = sum(len(instance.model) for instance in instances)
     attributes = empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32, total)
     arrays = empty((total, 5), np.float64, total), attributes, empty((total,), np.float32, total), empty((total,), np.int32, total)
-    runs, done = [], 0
+    runs, done, used, lock = [], 0, 0, threading.Lock()
+
+    def piece(first, last, cut, look, inputs):
+        nonlocal used
+        found = empty((5, last - first + LANES), np.float64, total)
+        number = found[4].view(np.int64)
+        count = project.opaque(first, last, cut, look, *inputs[:-1], number, found)
+        with lock:
+            row, used = used, used + count
+        return row, project.project(row, count, number, found, look, *inputs, *arrays)
+
     for instance in instances:
         cut = crop_arrays(instance.settings.crops), instance.ball, instance.hidden
         look = instance.look.copy()
         look[Look.GRADED] *= not isinstance(instance.model.appearance, Features)  # a decoder's colours are changed when it has made them
-        count, inputs = len(instance.model), (cut, look, *_inputs(instance, camera, layout))
-        rows = tuple(array[done:done + count] for array in arrays)
-        pieces = portions(count)
+        count, rest = len(instance.model), (cut, look, _inputs(instance, camera, layout))
         share = progress and (lambda f, done=done, count=count: progress((done + f * count) / total))
-        counts = run(lambda first, last, rest=(*inputs, *rows): project.project(first, last, *rest), pieces, share)
-        runs.append([(done + first, number) for (first, _), number in zip(pieces, counts)])
+        runs.append(run(lambda first, last, rest=rest: piece(first, last, *rest), portions(count, GAUSSIANS), share))
         if layout.quantities:
             run(lambda first, number, instance=instance: _fill(instance, layout, attributes, arrays[3], first, number), runs[-1])
         done += count
@@ -96,9 +108,9 @@ def project_backward(instance: ViewedInstance, camera: Camera, layout: Layout, s
     out["features"] = np.empty((len(model), look.width), np.float32)
     slopes = (gradients.geometry, gradients.log2_opacity, gradients.channels)
     rest = (splats.source, slopes, bool(detach_time), tuple(out.values()), *_inputs(instance, camera, layout))
-    ends = [first for first, _ in splats.runs[0][1:]] + [len(model)]
-    run(lambda first, end, count: project_rows_backward(first, end, first, first + count, *rest),
-        [(first, end, count) for (first, count), end in zip(splats.runs[0], ends)])
+    runs = [(row, row + count) for row, count in splats.runs[0] if count] or [(0, 0)]
+    begins = [int(splats.source[row]) for row, _ in runs[1:]]
+    run(lambda first, last, rows: project_rows_backward(first, last, *rows, *rest), zip([0, *begins], [*begins, len(model)], runs))
     if isinstance(model.appearance, Changing):
         _spread_colours(model, instance.t, out, detach_time)
     return out
