@@ -7,7 +7,8 @@
                        in turn.  On a busy machine the ratio of the fastest runs says more, with FASTGS_THREADS=1
 * whole frame          from a 4D model (Fourier L = 5, temporal opacity, rotation, features with decoder) to the image,
                        and from the same frame sliced beforehand into a static model
-* peak memory          of a process that loads 1 M Gaussians and renders a frame, Python and compiled kernels included
+* peak memory          of a process that loads 1 M Gaussians and renders a frame, Python and compiled kernels included; and beyond an
+                       idle process
 * warm start           of a process: imports, first frame, kernels from the cache
 """
 from __future__ import annotations
@@ -144,22 +145,26 @@ def child(code: str) -> dict:
 
 
 def peak_memory(n, width, height, appearance) -> dict:
-    """Resident memory of a process that loads a model from its file and renders one frame, Python and the kernels included.
+    """Resident memory of a process that loads a model from its file and renders one frame, Python and the kernels included; and of an idle
+    one, which has drawn a single Gaussian in 16 x 16 pixels.  Pages of libraries count in both, though processes share them.
 
     From Linux' VmHWM: getrusage would count the parent's memory too.
     """
     with tempfile.TemporaryDirectory() as folder:
         path = str(Path(folder) / "model.safetensors")
         fg.save(scene(n, width, height, appearance)[0], path)
-        return child(f"""
+        peak, idle = (child(f"""
 import sys; sys.path.insert(0, "benchmarks")
 import json, raster_cpu as bench, fastgs_blender as fg
-camera = bench.scene(1, {width}, {height})[1]
-model = fg.load({path!r})
+camera = bench.scene(1, {size[0]}, {size[1]})[1]
+model = {model}
 fg.render(model, camera, 0.4, backend="cpu")
 peak = 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
-print(json.dumps({{"model MB": model.nbytes / 1e6, "peak MB": peak / 1e6, "peak / model": peak / model.nbytes}}))
-""")
+print(json.dumps({{"model": model.nbytes, "peak": peak}}))
+""") for model, size in ((f"fg.load({path!r})", (width, height)), (f"bench.scene(1, 16, 16, {appearance!r})[0]", (16, 16))))
+    model = peak["model"]
+    return {"model MB": model / 1e6, "peak MB": peak["peak"] / 1e6, "idle MB": idle["peak"] / 1e6, "peak / model": peak["peak"] / model,
+            "(peak - idle) / model": (peak["peak"] - idle["peak"]) / model}
 
 
 def warm_start() -> dict:
