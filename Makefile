@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 # All that a newcomer types: `make demo` and `make test`.  Both install what they need into .venv the first time.
 .NOTPARALLEL:
-.PHONY: help demo test test-all lint test-library test-addon test-lts test-all-bpy test-blender docs-pictures api-docs bench extension store site gallery test-site clean
+.PHONY: help demo test test-all lint test-library test-addon test-lts test-all-bpy test-blender test-windows docs-pictures api-docs bench extension store site gallery test-site clean
 
 # Where the environment forbids Python to keep compiled modules, each process would compile all of ours, and pytest's rewritten tests, anew.
 export PYTHONDONTWRITEBYTECODE :=
@@ -15,6 +15,7 @@ help:
 	@echo "make test-all      with the slow ones, and on Blender 5.2.3 too where Python 3.13 is found"
 	@echo "make test-all-bpy  the add-on's tests on Blender 4.2.23, 4.5.15, 5.0.1, 5.2.3, and 5.3 once it is to be had"
 	@echo "make test-blender  the extension's zip in real Blenders with windows, 4.3 and 5.2 (root, Debian packages; see CONTRIBUTING)"
+	@echo "make test-windows  the library's quick tests with Windows' Python, under Wine (root, Debian packages; see CONTRIBUTING)"
 	@echo "make lint | test-library | test-addon | test-lts    parts of make test-all"
 	@echo "make bench         the figures that the README quotes"
 	@echo "make extension     dist/*.zip to install in Blender, one a system, and a repository's index"
@@ -82,6 +83,9 @@ test-all-bpy: test-addon-4.2.23 test-addon-4.5.15 test-addon test-addon-5.2.3 te
 
 test-blender: .venv/ready
 	@$(PY) tools/test_blender.py $(ARGS)
+
+test-windows: .venv/ready
+	@$(PY) tools/test_windows.py $(ARGS)
 
 # The screenshots that the last test-blender took.
 docs-pictures: .venv/ready

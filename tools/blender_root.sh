@@ -1,6 +1,7 @@
 #!/usr/bin/env bash
 # SPDX-License-Identifier: GPL-3.0-or-later
 # blender_root.sh SUITE: prints the folder of a Debian system with that release's Blender, Xvfb and Mesa's software OpenGL.
+# blender_root.sh wine: the same with Wine, which runs Windows' programs, and without Blender.
 # blender_root.sh --possible: only says whether this machine can make such folders.
 # blender_root.sh --tools: only installs what makes them.
 #
@@ -20,7 +21,11 @@ packages=(
     blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
     mesa-vulkan-drivers python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
 )
-[[ $suite != trixie ]] || packages+=(chromium firefox-esr)  # open web pages
+release=$suite program=blender
+case $suite in
+    trixie) packages+=(chromium firefox-esr) ;;  # open web pages
+    wine) release=trixie program=wine packages=(wine wine64 xvfb xauth libgl1-mesa-dri mesa-vulkan-drivers libvulkan1) ;;  # with fewer it hangs
+esac
 recipe=1  # to be raised when something below changes what is in a root
 digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)
 root=$roots/$suite-$digest
@@ -78,7 +83,7 @@ tools() { # one at a time on this machine: two roots that begin together do not 
 }
 
 build() {
-    namespaced debootstrap --variant=minbase "$suite" "$root.part" "$from" >>"$log" 2>&1 ||
+    namespaced debootstrap --variant=minbase "$release" "$root.part" "$from" >>"$log" 2>&1 ||
         failed "debootstrap failed (see $log)"
     printf '#!/bin/sh\nexit 101\n' >"$root.part/usr/sbin/policy-rc.d"
     chmod +x "$root.part/usr/sbin/policy-rc.d"
@@ -124,7 +129,7 @@ if [[ ! -d $root ]]; then
     mv "$root.part" "$root"
 fi
 probe=$(mktemp -d)
-"$(dirname "$0")/in_root.sh" "$root" "$probe" blender --version >"$probe/said" 2>&1 ||
+"$(dirname "$0")/in_root.sh" "$root" "$probe" "$program" --version >"$probe/said" 2>&1 ||
     failed "it does not start ($(tail -n 1 "$probe/said"))"
 rm -rf "$probe"
 echo "$root"

@@ -28,11 +28,6 @@ if signal.getsignal(signal.SIGINT) is signal.SIG_IGN:  # as in a shell's backgro
     signal.signal(signal.SIGINT, signal.default_int_handler)
 
 
-def pytest_runtest_setup(item):
-    if os.name == "nt" and item.get_closest_marker("posix"):
-        pytest.skip("Windows has not what this needs")
-
-
 @pytest.fixture(scope="session", autouse=True)
 def _no_waiting_for_the_disk():
     """A thousand small files need not be safe from a power cut."""

@@ -1,6 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Errors of a render are reported in one sentence, the other objects are rendered, and a stopped render stops."""
 import os
+import re
 import threading
 from concurrent.futures import CancelledError
 
@@ -24,7 +25,7 @@ def test_other_objects_still_render(scene, fg, kind, broken_file, make_model, mo
                                     caplog, capfd):
     model = make_model()
     splat_object(model_file(model), "Good")
-    path = broken_file if kind == "broken" else "/nowhere/at all.ply"
+    path = broken_file if kind == "broken" else os.path.abspath("/nowhere/at all.ply")
     splat_object(path, "Bad")
     add_camera()
     scene.render.film_transparent = True
@@ -58,7 +59,7 @@ def test_nothing_that_can_be_loaded_is_an_error_and_not_a_black_picture(scene, s
     splat_object("/nowhere/b.ply", "B")
     add_camera()
     scene.render.filepath = str(tmp_path / "black.png")
-    with pytest.raises(RuntimeError, match="/nowhere/a.ply"):
+    with pytest.raises(RuntimeError, match=re.escape(os.path.abspath("/nowhere/a.ply"))):
         bpy.ops.render.render(write_still=True)
     assert not os.path.exists(scene.render.filepath)
     assert "Traceback" not in caplog.text
@@ -107,7 +108,7 @@ def test_names_that_cannot_be_printed_are_reported(make_model, model_file, splat
     splat_object(UNPRINTABLE, "Bad")
     add_camera()
     render()
-    assert "/nowhere/\\udcff\\x1b[31m.ply" in capfd.readouterr().out
+    assert os.path.abspath("/nowhere/a.ply").replace("a.ply", r"\udcff\x1b[31m.ply") in capfd.readouterr().out
     assert [record.levelname for record in caplog.records] == ["WARNING"]
 
 
@@ -116,7 +117,7 @@ def test_a_frame_that_fails_with_a_name_that_cannot_be_printed_is_a_failed_frame
     splat_object(UNPRINTABLE)
     add_camera()
     scene.render.filepath = str(tmp_path / "black.png")
-    with pytest.raises(RuntimeError, match="/nowhere/.*udcff"):
+    with pytest.raises(RuntimeError, match="nowhere.*udcff"):
         bpy.ops.render.render(write_still=True)
     assert not os.path.exists(scene.render.filepath) and "Traceback" not in caplog.text
 

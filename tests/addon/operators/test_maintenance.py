@@ -2,6 +2,7 @@
 """Preferences, compiling ahead, diagnostics."""
 from __future__ import annotations
 
+import re
 import shutil
 import subprocess
 import sys
@@ -108,10 +109,10 @@ import bpy, addon_utils
 before = set(sys.modules)
 assert addon_utils.enable("{addon.__name__}")
 others = [name for name in set(sys.modules) - before if not name.startswith("bl_ext")]
-print(len(others), *(name for name in ("numba", "torch", "llvmlite", "OpenEXR", "PIL") if name in sys.modules), flush=True)
+print("found", len(others), *(name for name in ("numba", "torch", "llvmlite", "OpenEXR", "PIL") if name in sys.modules), flush=True)
 os._exit(0)  # Blender 4.2 as a module crashes in Python's own clean-up
 """
-    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout.splitlines()[-1]
-    others, *heavy = out.split()
+    out = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
+    others, *heavy = re.search(r"^found (.*)$", out, re.MULTILINE)[1].split()
     assert not heavy
     assert int(others) < 400, "torch alone brings more than a thousand"

@@ -334,8 +334,7 @@ def test_what_goes_wrong_is_one_sentence(jobs, toy, scene, tmp_path):
 def test_a_python_without_what_training_needs_says_so(module, scene, toy, tmp_path, monkeypatch):
     """An empty environment, made here without the network, is told apart from one that can train."""
     pythons, preferences = module("fastgs_blender.jobs.environment"), module("scene.settings").preferences()
-    import venv
-
+    venv = pytest.importorskip("venv")
     venv.create(tmp_path / "bare", with_pip=False, symlinks=True)
     preferences.training_choice, preferences.training_python = 'CHOSEN', str(tmp_path / "bare")
     try:
@@ -379,6 +378,7 @@ def test_what_would_be_downloaded_is_said_before_anything_is(module, monkeypatch
     assert "--online-mode" in operators.offline_reason()
 
 
+@pytest.mark.posix
 def test_causes(module):
     sentence = module("fastgs_blender.jobs.causes").sentence
     cases = (

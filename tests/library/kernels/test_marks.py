@@ -4,6 +4,8 @@ import os
 import subprocess
 import sys
 
+import pytest
+
 CHILD = """
 import mmap, sys
 import numpy as np
@@ -30,6 +32,7 @@ print(np.mean(found))
 """
 
 
+@pytest.mark.posix
 def test_a_mark_is_never_taken_back(tmp_path):
     """A splat lies in many tiles: a thread that does not see it must not write over what another thread has just written."""
     ran = subprocess.run([sys.executable, "-c", CHILD, str(tmp_path / "marks")], capture_output=True, text=True, check=False,
