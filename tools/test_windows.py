@@ -66,11 +66,12 @@ def main() -> int:
                "env", "-u", "TMPDIR",  # with it, this Wine crashes
                *variables, "wine", "../python/python.exe", "-m", "pytest", "-p", "no:cacheprovider",
                *(f"--ignore={file}" for file in LEFT_OUT), *(f"--deselect={test}" for test in CRASHES), *chosen]
-    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, text=True, errors="replace",
+    with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.STDOUT,
                           env=os.environ | {"FASTGS_BINDS": binds}) as tests:  # this Python starts with pipes alone
         tests.stdin.close()
-        for line in tests.stdout:
-            print(line, end="", flush=True)
+        while piece := os.read(tests.stdout.fileno(), 1 << 16):
+            sys.stdout.buffer.write(piece)
+            sys.stdout.buffer.flush()
     return tests.returncode
 
 
