@@ -10,7 +10,8 @@ before  the picture with the Gaussians' own shadows
 bright  the one without
 q       which share of its light is a lamp's, as far as meshes can take it away; the mean over the pixel's splats
 m       which share of the lamp's light comes past the meshes to the pixel's point
-c       1 where the pixel shows one surface; 0 where it shows several, one behind the other: there Gaussians know better
+c       1 where the pixel and those around it show one surface each; 0 where they show several, one behind the other: there Gaussians
+        know better, as they do on a floor that was filmed from one height, whose Gaussians lie at many depths
 
 The passes of meshes' shadows become m in the same way.  A lamp of n points makes a soft shadow of n steps.  So m is averaged over as large
 a square of pixels as it differs in by no more than two steps: a sharp edge stays, and no steps are seen.
@@ -50,6 +51,10 @@ BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask; a coarse picture has one pixel for each."""
 WIDEST = 8
 """Pixels to each side over which steps of a soft shadow are smoothed, at most; a power of two."""
+AROUND_ONE = 16
+"""Pixels to each side of a pixel that must show one surface as well, for its own to be believed."""
+FEW, ENOUGH = 0.7, 0.9
+"""The shares of these at which it begins to be believed, and is."""
 MOST = 8
 """Samples of an exposure in which edges are looked at."""
 
@@ -150,7 +155,7 @@ class _Drawn:
     def __init__(self, instances: list[ViewedInstance], camera: Camera, holdout: np.ndarray | None, light: Any, lamps: int,
                  kinds: int, backend: Any, by_pixel: bool, space: str):
         self.holdout, self.backend, self.by_pixel, self.space = holdout, backend, by_pixel, space
-        eye = _around(instances, camera)
+        eye = _around(instances, _wider(camera))
         found = eye and _near_edges(instances, eye, lamps, backend)
         if not found:
             return
@@ -162,7 +167,7 @@ class _Drawn:
         pixels = np.divmod(at, eye.window[2])
         x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), pixels[::-1], strict=True))
         plane = np.divide(sums["plane"].T, alpha, order="C", dtype=np.float64)
-        one = _one(eye, sums, plane[0] + plane[1] * x + plane[2] * y, light.bias)
+        one = _believed(_one(eye, sums, plane[0] + plane[1] * x + plane[2] * y, light.bias), pixels)
         rows = np.flatnonzero(one > SHARP)
         if not len(rows):
             return
@@ -172,11 +177,13 @@ class _Drawn:
         places = _points(eye, np.take(plane, rows, 1), x[rows], y[rows])
         past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
         numbers = numbers.reshape(-1, kinds, lamps) / alpha[:, None, None]
-        self.past = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, pixels)
-        self.splats = numbers[:, kinds - 1]
-        self.pixels = pixels[0] + eye.window[1] - camera.window[1], pixels[1] + eye.window[0] - camera.window[0]
-        takes = (numbers[:, :3] * (1 - self.past)[:, None]).sum(2)
-        self.light = scene_linear(rgb, alpha, space) * np.maximum(1 - takes, 0)
+        past = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, pixels)
+        down, right = pixels[0] + eye.window[1] - camera.window[1], pixels[1] + eye.window[0] - camera.window[0]
+        rows = np.flatnonzero((down >= 0) & (down < camera.window[3]) & (right >= 0) & (right < camera.window[2]))
+        self.one, self._at, self.past, self.splats = self.one[rows], self._at[rows], past[rows], numbers[rows, kinds - 1]
+        self.pixels = (down[rows], right[rows]) if len(rows) else ()
+        takes = (numbers[rows, :3] * (1 - self.past)[:, None]).sum(2)
+        self.light = scene_linear(rgb[rows], alpha[rows], space) * np.maximum(1 - takes, 0)
 
     def of(self, instances: list[ViewedInstance]) -> np.ndarray:
         """What its pixels look like with these instances, in light [P, 3]."""
@@ -223,6 +230,14 @@ def _near_edges(instances: list[ViewedInstance], camera: Camera, lamps: int, bac
     return replace(camera, window=window), near[top:bottom + 1, left:right + 1]
 
 
+def _wider(camera: Camera) -> Camera:
+    """The camera with as much of the image around its window as its pixels depend on."""
+    first, size, image = np.array(camera.window[:2]), np.array(camera.window[2:]), np.array([camera.width, camera.height])
+    more = AROUND_ONE + WIDEST
+    before, after = np.clip(first, 0, more), np.clip(image - first - size, 0, more)
+    return replace(camera, window=(*(first - before).tolist(), *(size + before + after).tolist()))
+
+
 def _around(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
     """The camera with a window around those Gaussians that an edge lies on, None where it sees none."""
     found = [np.zeros((0, 4))]
@@ -249,6 +264,29 @@ def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: floa
     return np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * bias), 0, 1) * (depth > eye.near)
 
 
+def _believed(one: np.ndarray, pixels: tuple[np.ndarray, ...]) -> np.ndarray:
+    """How far pixels [P] show one surface, where those around them do as well."""
+    (rows, columns), size = _framed(pixels, AROUND_ONE)
+    sheets = np.zeros((2, *size))
+    sheets[0, rows, columns], sheets[1, rows, columns] = one, 1
+    share, there = (_box(sheet.cumsum(0).cumsum(1), rows, columns, AROUND_ONE) for sheet in sheets)
+    return one * np.clip((share / there - FEW) / (ENOUGH - FEW), 0, 1)
+
+
+def _framed(pixels: tuple[np.ndarray, ...], edge: int) -> tuple[tuple[np.ndarray, ...], list[int]]:
+    """Rows and columns of pixels in a sheet that just holds them and an edge around, for _box(), and its size."""
+    corner = [axis.min() - edge - 1 for axis in pixels]
+    return tuple(axis - first for axis, first in zip(pixels, corner, strict=True)), [
+        axis.max() - first + 1 + edge for axis, first in zip(pixels, corner, strict=True)]
+
+
+def _box(total: np.ndarray, rows: np.ndarray, columns: np.ndarray, radius: int) -> np.ndarray:
+    """Sums over squares of pixels around these rows and columns, from a sheet's running sums."""
+    top, left = rows - radius - 1, columns - radius - 1
+    bottom, right = rows + radius, columns + radius
+    return total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+
+
 def _wide(shown: Shown) -> np.ndarray:
     """Of each Gaussian its standard deviation along the view, and 1."""
     taken = shown.instance.taken
@@ -265,9 +303,7 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
 
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
     """Shares [P, L] at pixels `seen` of a window, without the steps that lamps of so many points [P, L] make."""
-    corner = [axis.min() - WIDEST - 1 for axis in seen]
-    size = [axis.max() - first + 1 + WIDEST for axis, first in zip(seen, corner, strict=True)]
-    at, out = tuple(axis - first for axis, first in zip(seen, corner, strict=True)), past.copy()
+    (at, size), out = _framed(seen, WIDEST), past.copy()
     for lamp in np.flatnonzero((points > 1.5).any(0)):
         there, mean, low, high = np.zeros(size), np.zeros(size), *(np.full(size, edge, np.float32) for edge in (np.inf, -np.inf))
         there[at], low[at], high[at], mean[at] = 1, *[past[:, lamp]] * 3
@@ -281,10 +317,7 @@ def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) 
             differ = high[at] - low[at]
             narrow = np.flatnonzero((differ > 0) & (differ <= step))
             rows, columns = at[0][narrow], at[1][narrow]
-            box = [(rows + radius, columns + radius), (rows - radius - 1, columns + radius), (rows + radius, columns - radius - 1),
-                   (rows - radius - 1, columns - radius - 1)]
-            many, sums = ([sheet[corner] for corner in box] for sheet in (total, summed))
-            out[narrow, lamp] = (sums[0] - sums[1] - sums[2] + sums[3]) / (many[0] - many[1] - many[2] + many[3])
+            out[narrow, lamp] = _box(summed, rows, columns, radius) / _box(total, rows, columns, radius)
     return out
 
 

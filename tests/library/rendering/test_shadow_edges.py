@@ -7,6 +7,7 @@ import pytest
 from test_scene_light import ALBEDO, CAMERA, LIT, board, lit, wall
 
 import fastgs_blender as fg
+from fastgs_blender.rendering import shadow_edges
 from fastgs_blender.rendering.exposure import Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
 from fastgs_blender.rendering.lamps import Lamp
@@ -46,8 +47,10 @@ def test_an_edge_is_as_sharp_as_pixels(backend):
 def test_a_part_of_the_picture_has_the_edges_of_the_whole(window):
     """Also a single pixel, and where the part's border runs along an edge."""
     x, y, width, height = window
-    whole, part = (lit(COARSE, [POINT], meshes=board(0, 0, 3.0, 0.3), camera=camera) for camera in (CAMERA, replace(CAMERA, window=window)))
-    assert np.allclose(part, whole[y:y + height, x:x + width], atol=1e-4)
+    for lamp in (POINT, Lamp(Light.rectangle((0, 0, 2.0), (0.5, 0, 0), (0, 0.5, 0), 16), (3.0, 3.0, 3.0))):
+        whole, part = (lit(COARSE, [lamp], meshes=board(0, 0, 3.0, 0.3), camera=camera)
+                       for camera in (CAMERA, replace(CAMERA, window=window)))
+        assert np.allclose(part, whole[y:y + height, x:x + width], atol=1e-4)
 
 
 def test_a_lamp_of_many_points_throws_thin_shadows():
@@ -91,6 +94,24 @@ def test_where_a_pixel_shows_two_things_each_keeps_its_own_shadow():
     free, shaded = (lit(instances, [sun], meshes=meshes) for meshes in (None, board(0, -2.0, 3.7, 1.2)))
     bare = lit(COARSE, [sun], meshes=board(0, -2.0, 3.7, 1.2))
     assert bare[32, 32, 1] < 0.01 and shaded[32, 32, 1] > 0.3 * free[32, 32, 1]
+
+
+def test_a_surface_of_many_depths_keeps_the_shadows_of_its_gaussians(rng, monkeypatch):
+    """Faint balls at many depths, as a floor filmed from one height: where some agree by chance, no sharp patch stands out."""
+    floor = wall(4.0, 2.4, 0.1)
+    floor.position[:, 2] += rng.uniform(-0.3, 0.3, len(floor))
+    floor.opacity[:], floor.scale[:] = -1.5, np.log(0.08)
+    sun = Lamp(Light.sun((0, -1, -0.4)), (3.0, 3.0, 3.0))
+    camera = fg.Camera(256, 256, 256, 256, 128, 128, np.eye(4))
+
+    def steps():
+        free, shaded = (lit(floor, [sun], camera=camera, meshes=meshes) for meshes in (None, board(0, -1.0, 3.0, 0.8)))
+        share = light_of(shaded, free)[64:192, 64:192]
+        return (np.abs(np.diff(share, axis=1)) > 0.2).sum()
+
+    found = steps()
+    monkeypatch.setattr(shadow_edges, "_believed", lambda one, pixels: one)
+    assert found < 0.1 * steps()
 
 
 def test_the_passes_have_the_same_edge():
