@@ -28,9 +28,10 @@ class FASTGS_OT_make_mesh(Stepwise, bpy.types.Operator):
         default=160, min=16, soft_max=320, max=1024)
     shape: EnumProperty(
         name="Shape", description="Which parts of the surface are made",
-        items=(('CLOSED', "Closed", "A surface without holes, which has an inside", 0),
-               ('OPEN', "Open", "Only what the cameras of the capture faced, as far as the file knows them", 1)),
-        default='CLOSED')
+        items=(('AUTO', "By Cameras", "Open if the file knows its cameras and they stood on one side; else closed", 2),
+               ('CLOSED', "Closed", "A surface without holes, which has an inside", 0),
+               ('OPEN', "Open", "Only what the cameras of the capture saw, as far as the file knows them", 1)),
+        default='AUTO')
     smoothing: IntProperty(
         name="Smoothing", description="How often the surface is averaged with its neighbourhood; more for noisy captures", default=2, min=0,
         soft_max=20, max=1000)
@@ -40,7 +41,8 @@ class FASTGS_OT_make_mesh(Stepwise, bpy.types.Operator):
         self._began = time.monotonic()
         obj = context.object
         model, t = moving_mesh.shown(obj, context.evaluated_depsgraph_get())
-        work = partial(make_mesh, model, t, detail=self.detail, closed=self.shape == 'CLOSED', smoothing=self.smoothing)
+        closed = None if self.shape == 'AUTO' else self.shape == 'CLOSED'
+        work = partial(make_mesh, model, t, detail=self.detail, closed=closed, smoothing=self.smoothing)
         return obj, model, (yield from in_steps(lambda progress: work(progress=progress), self.in_window))
 
     def finish(self, context, result):
@@ -51,6 +53,8 @@ class FASTGS_OT_make_mesh(Stepwise, bpy.types.Operator):
             raise FastGSError("the splat object was deleted meanwhile; make its mesh again.") from None
         faces, taken = sum(len(mesh.quads) for mesh in meshes), time.monotonic() - self._began
         text = f'"{made[0].name}" has {faces:,} faces and moves with "{obj.name}"; {taken:.1f} s'
+        if self.shape == 'AUTO' and not meshes[0].closed:
+            text += "; it is open, because the cameras of the capture stood on one side: nobody saw the back"
         if len(meshes) > 1:
             frames = ", ".join(f"{mesh.times[0] * model.clip.frame_count:.4g}" for mesh in meshes[1:])
             text += f"; where it tears it is made anew: {len(meshes)} meshes, the next from frame {frames} of the capture on"

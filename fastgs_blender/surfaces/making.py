@@ -7,13 +7,14 @@ from typing import Any
 
 import numpy as np
 
+from ..model.filmed_from import BAKED, directions
 from ..model.gaussians import GaussianModel
 from ..util.arguments import integer, real, shown
 from ..util.errors import FastGSError
 from .carrying import carry
-from .carving import Surface, carved
-from .quads import normals
-from .views import render_views, subject_of
+from .carving import carved
+from .opening import opened
+from .views import VIEWS, filmed_side, render_views, subject_of
 
 LEAST = 0.01
 """Share of the surface that a piece must have; smaller ones are taken for floaters."""
@@ -41,6 +42,7 @@ class MovingMesh:
     curves     [S, R]     how much of each shape, within -1..1
     colours    [V, 3]     in the model's colour space, as seen from straight before the surface
     made       the time at which it was made
+    closed     whether it has an inside; otherwise it is what was filmed
 
     Example:
         mesh = fg.make_mesh(model, t=0.25, detail=48)[0]
@@ -54,6 +56,7 @@ class MovingMesh:
     curves: np.ndarray
     colours: np.ndarray
     made: float
+    closed: bool = True
 
     @property
     def slopes(self) -> np.ndarray:
@@ -73,15 +76,15 @@ class MovingMesh:
         return self.rest + np.tensordot(weights, self.shapes, 1)
 
 
-def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed: bool = True, smoothing: int = 2,
+def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed: bool | None = None, smoothing: int = 2,
               progress: Callable[[float], Any] | None = None) -> list[MovingMesh]:
     """The surface of a model's subject at a time t, as a mesh that the Gaussians around it carry through the clip.
 
     It is one mesh, unless more than TEARS of its area tears: there it is made anew.  All meshes are in the order of their times.
 
     detail     voxels along the subject's longest side; a face is about as large as one
-    closed     whether the surface has no holes; otherwise it is left out where no camera of the capture faced it, as far as the file knows
-               these, or nobody can see it
+    closed     whether the surface has no holes; otherwise it is left out where no camera of the capture saw it, as far as the file knows
+               these, or nobody can see it.  None: it is open if the cameras stood on one side, because nobody knows the others
     smoothing  how often the surface is averaged with its neighbourhood, 0 or more
     progress   called with 0..1 between pieces of work; what it raises stops the work and passes through
 
@@ -125,32 +128,23 @@ def times_of(model: GaussianModel) -> np.ndarray:
     return np.linspace(0, last, count) / model.clip.frame_count
 
 
-def _made(model: GaussianModel, t: float, times: np.ndarray, detail: int, closed: bool, smoothing: int, limit: float,
+def _made(model: GaussianModel, t: float, times: np.ndarray, detail: int, closed: bool | None, smoothing: int, limit: float,
           progress: Callable[[float], Any]) -> MovingMesh:
     """The mesh that is made at a time t, for as many of the times around it as it does not tear."""
     subject = subject_of(model, t)
-    views = render_views(subject, detail, lambda share: progress(0.4 * share))
+    side = None if closed else filmed_side(model, subject)
+    closed = bool(closed or (closed is None and (side is None or model.provenance.get("source") == BAKED)))
+    views = render_views(subject, directions(VIEWS) if closed or side is None else side, detail, lambda share: progress(0.4 * share))
     surface = carved(subject, views, detail, smoothing, LEAST, lambda share: progress(0.4 + 0.2 * share))
     if not closed:
-        surface = surface.take(_filmed(model, surface))
+        surface = opened(surface, model, subject, subject.size / detail, LEAST)
     if not len(surface.quads):
         raise FastGSError("no surface was found: what is there is too faint or too small; choose another frame or more detail.")
     paths = carry(model, t, surface.vertices, surface.quads, subject.size / detail, times, limit,
                   lambda share: progress(0.6 + 0.4 * share))
     shapes, curves = _shapes(paths.places, surface.vertices, PRECISE * subject.size)
     return MovingMesh(surface.quads, surface.vertices.astype(np.float32), shapes, paths.times, curves,
-                      surface.colours.astype(np.float32), float(t))
-
-
-def _filmed(model: GaussianModel, surface: Surface) -> np.ndarray:
-    """Which vertices [V] some view sees, and a camera of the capture faces, if these are known."""
-    cameras, seen = model.surroundings.cameras, surface.seen > 0
-    if not cameras:
-        return seen
-    normal, faced = normals(surface.vertices, surface.quads), np.zeros(len(seen), bool)
-    for camera in cameras:
-        faced |= ((np.array(camera.position) - surface.vertices) * normal).sum(1) > 0
-    return seen & faced
+                      surface.colours.astype(np.float32), float(t), closed)
 
 
 def _shapes(paths: np.ndarray, rest: np.ndarray, precise: float) -> tuple[np.ndarray, np.ndarray]:

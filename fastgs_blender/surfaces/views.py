@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Depth pictures of a model at one moment from all around its subject, from which a surface is made."""
+"""Depth pictures of a model at one moment, from all around its subject or from the side that was filmed, from which a surface is made."""
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Any
@@ -17,6 +17,13 @@ from ..util.errors import FastGSError
 
 VIEWS = 48
 """Directions from which the subject is looked at."""
+FINE = 1000
+"""Directions among which those of one side are chosen,"""
+BESIDE = 0.866
+"""and the cosine of the largest angle between them and a camera, 30 degrees: what cameras see at a flat angle is told from there."""
+UNFACED = 0.2
+"""Share of all directions that no camera faces, from which on a subject counts as filmed from one side: cameras on an arc of 108 degrees
+leave so many."""
 FINER = 1.5
 """Pixels to each voxel's edge."""
 SOLID = 0.5
@@ -78,13 +85,26 @@ def subject_of(model: GaussianModel, t: float) -> Subject:
     return Subject(model.take(np.sort(index[wanted])), t, low, high)
 
 
-def render_views(subject: Subject, detail: int, progress: Callable[[float], Any]) -> list[View]:
-    """The subject from VIEWS directions; detail: voxels along the box's longest side."""
+def filmed_side(model: GaussianModel, subject: Subject) -> np.ndarray | None:
+    """Unit vectors [D, 3] from a subject to about where the cameras stood; None if that was all around it, or is not known."""
+    if not model.surroundings.cameras:
+        return None
+    eyes = np.array([camera.position for camera in model.surroundings.cameras]) - (subject.low + subject.high) / 2
+    eyes /= np.maximum(np.linalg.norm(eyes, axis=1, keepdims=True), 1e-30)
+    cosine = (directions(FINE) @ eyes.T).max(1)
+    if (cosine <= 0).mean() < UNFACED:
+        return None
+    near = directions(FINE)[cosine > BESIDE]
+    return near[np.unique(np.linspace(0, len(near) - 1, VIEWS).astype(int))]
+
+
+def render_views(subject: Subject, towards: np.ndarray, detail: int, progress: Callable[[float], Any]) -> list[View]:
+    """The subject from directions [D, 3]; detail: voxels along the box's longest side."""
     pixels = int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER))
     found, still = [], freeze(subject.model, subject.t)
-    for direction in directions(VIEWS):
+    for direction in towards:
         found.append(_view(still, subject.camera(direction, pixels)))
-        progress(len(found) / VIEWS)
+        progress(len(found) / len(towards))
     return found
 
 

@@ -2,6 +2,8 @@
 """*Make Mesh*: an ordinary mesh object that moves with its splat object, in time with it, in renders, simulations and exports."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -104,6 +106,17 @@ def test_it_is_one_step_of_undo(splat, scene):
     bpy.ops.ed.undo_push(message="Make Mesh")
     bpy.ops.ed.undo()
     assert not any(obj.fastgs.surface_of for obj in bpy.context.scene.objects)
+
+
+@pytest.mark.parametrize("shape", ["AUTO", "CLOSED"])
+def test_what_was_filmed_from_one_side_becomes_open_and_says_so(scene, fg, bowl, model_file, capfd, shape):
+    above = fg.Viewpoint(width=64, height=64, fx=32, fy=32, cx=32, cy=32, position=(0, 0, 4), rotation=(0, 1, 0, 0), distance=4)
+    bpy.ops.import_scene.fastgs(filepath=model_file(replace(bowl, surroundings=fg.Surroundings(cameras=(above,)), provenance={})))
+    bpy.ops.fastgs.make_mesh(detail=24, shape=shape)
+    mesh = next(obj.data for obj in scene.objects if obj.fastgs.surface_of)
+    sides = [key for face in mesh.polygons for key in face.edge_keys]
+    assert (len(sides) < 2 * len(mesh.edges)) == (shape == 'AUTO')  # an edge with one face lies on a border
+    assert ("one side" in capfd.readouterr().out) == (shape == 'AUTO')
 
 
 @pytest.mark.slow

@@ -7,8 +7,11 @@ import pytest
 from moving_meshes import distances, sphere, swimming, twisting, walking, waving
 
 import fastgs_blender as fg
+from fastgs_blender.cameras.viewpoints import viewpoint_of
+from fastgs_blender.model.filmed_from import directions
 from fastgs_blender.surfaces.making import make_mesh as make
 from fastgs_blender.surfaces.nets import surface_net
+from fastgs_blender.surfaces.quads import Mesh
 
 FRAMES = 12
 
@@ -51,6 +54,11 @@ def test_a_closed_surface_has_an_inside():
     assert len(mesh.shapes) == 0 and np.linalg.norm(mesh.at(0.7), axis=1) == pytest.approx(1, abs=0.06)
 
 
+def edges(mesh):
+    """The sides of all quads [4 Q, 2], the lesser vertex first."""
+    return np.sort(np.stack([mesh.quads, np.roll(mesh.quads, -1, 1)], -1).reshape(-1, 2), 1)
+
+
 def test_floaters_are_left_out():
     model = baked(lambda t: sphere(20), 3000)
     speck = np.zeros(30, int)
@@ -66,6 +74,42 @@ def test_the_open_surface_is_what_cameras_faced():
     view = fg.Viewpoint(width=64, height=64, fx=64, fy=64, cx=32, cy=32, position=(0, 0, -4), distance=4)
     mesh, = make(replace(model, surroundings=fg.Surroundings(cameras=(view,))), detail=32, closed=False)
     assert mesh.rest[:, 2].max() < 0.0 and mesh.rest[:, 2].min() < -0.95
+
+
+def one_sided(count=4000):
+    """A ball that moves, before five cameras of one side: nobody knows its back, so whatever lies there is of the training's making."""
+    model = baked(lambda t: (sphere(24)[0] + [0.6 * t, 0, 0], sphere(24)[1]), count)
+    front, rng = model.take(np.flatnonzero(model.position[:, 2] < 0.15)), np.random.default_rng(3)
+    junk = front.take(rng.integers(0, len(front), count // 4))
+    place = rng.uniform(-1, 1, (len(junk), 3)) * [0.5, 0.5, 0.5] + [0, 0, 0.5]
+    junk = replace(junk, position=place, scale=rng.normal(size=(len(junk), 3)) * 0.4 - 3)
+    views = []
+    for angle in np.radians([-30, -15, 0, 15, 30]):
+        pose = np.array([[np.cos(angle), 0, np.sin(angle), 0], [0, 1, 0, 0], [-np.sin(angle), 0, np.cos(angle), 4.0], [0, 0, 0, 1]])
+        views.append(viewpoint_of(fg.Camera(64, 64, 64, 64, 32, 32, pose), distance=4))
+    return replace(fg.concatenate([front, junk]), surroundings=fg.Surroundings(cameras=tuple(views)), provenance={})
+
+
+def test_what_was_filmed_from_one_side_is_one_open_piece_without_holes():
+    mesh, = make(one_sided(), detail=40)
+    assert not mesh.closed and mesh.times[-1] == 11 / 12
+    assert len(np.unique(Mesh.of(mesh.quads, len(mesh.rest)).pieces())) == 1
+    sides, count = np.unique(edges(mesh), axis=0, return_counts=True)
+    border = sides[count == 1]
+    assert len(mesh.rest) - len(sides) + len(mesh.quads) == 1 and len(np.unique(border)) == len(border)  # a disc: no hole, one outline
+    for t in (0, 11 / 12):
+        place = mesh.at(t) - [0.6 * t, 0, 0]
+        assert np.linalg.norm(place, axis=1) == pytest.approx(1, abs=0.06)
+        towards = place / np.linalg.norm(place, axis=1, keepdims=True)
+        facing = directions(200)
+        facing = facing[facing[:, 2] < -0.3]
+        assert (facing @ towards.T).max(1).min() > 0.995
+
+
+def test_a_baked_mesh_has_all_of_its_sides():
+    model = one_sided()
+    mesh = make(replace(model, provenance={"source": "baked mesh"}), detail=16)[0]
+    assert mesh.closed and make(model, detail=16, closed=True)[0].closed
 
 
 def test_gaussians_that_fade_hand_over():
