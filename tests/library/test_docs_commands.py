@@ -11,7 +11,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toy_captures import write_capture
+from toy_captures import write_capture, write_examples
 
 import fastgs_blender as fg
 from fastgs_blender import cli
@@ -38,7 +38,7 @@ def lines(page: Path) -> list[str]:
 @pytest.fixture(scope="module")
 def files(tmp_path_factory):
     folder = tmp_path_factory.mktemp("files")
-    shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.py"))
+    write_examples(folder / "examples")
     write_capture(folder / "my-capture")
     return folder
 

@@ -2,7 +2,7 @@
 """Every command of the README and of docs/ in a fresh environment: this project as pip installs it, what it says it needs, nothing else.
 
 They run as they are written, page by page in a folder of its own that holds the examples and the captures
-`my-capture` and `my-photographs`; training takes few steps.
+`my-capture` and `my-photographs`; training takes few steps, and compression few pictures.
 """
 from __future__ import annotations
 
@@ -20,11 +20,13 @@ from pathlib import Path
 import pytest
 from packaging.requirements import Requirement
 from test_docs_commands import FEW, PAGES, ROOT, lines
-from toy_captures import write_capture
+from toy_captures import write_capture, write_examples
 
 RUN = """
 import json, os, sys
 from fastgs_blender import cli
+from fastgs_blender.formats import rate, thinning
+rate.SHOTS, rate.JUDGED, thinning.SENSED, thinning.REFITS, thinning.FINAL = 31, 3, 3, 6, 11  # as the fixture few_pictures
 for folder, commands in json.load(sys.stdin):
     os.chdir(folder)
     for words in commands:
@@ -70,10 +72,10 @@ def fresh(tmp_path_factory):
 @pytest.mark.slow
 def test_the_pages_commands_run(fresh, tmp_path):
     python, site = fresh
-    work, capture = [], write_capture(tmp_path / "my-capture")
+    work, capture, examples = [], write_capture(tmp_path / "my-capture"), write_examples(tmp_path / "examples")
     for page in (page for page in PAGES if lines(page)):
         folder = tmp_path / page.stem
-        shutil.copytree(ROOT / "examples", folder / "examples", ignore=shutil.ignore_patterns("*.py"))
+        shutil.copytree(examples, folder / "examples")
         for name in ("my-capture", "my-photographs"):
             shutil.copytree(capture, folder / name)
         commands = [shlex.split(re.sub(r"\s#.*", "", line))[1:] for line in lines(page)]

@@ -16,7 +16,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from toy_captures import write_capture
+from toy_captures import write_capture, write_examples
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.protocol import PictureBackend, TrainingBackend
@@ -73,7 +73,7 @@ def test_everything_is_on_the_page_and_has_an_example(api_docs):
 @pytest.mark.slow
 def test_the_examples_run(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    shutil.copytree(ROOT / "examples", "examples", ignore=shutil.ignore_patterns("*.py"))
+    write_examples(Path("examples"))
     write_capture(Path("my-capture"), frames=16)  # clocks are compared along them
     positions = np.tile(np.array([[0.0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0]]), (3, 1, 1)) + np.arange(3)[:, None, None]
     names = {"fg": fg, "np": np, "warnings": warnings, "positions": positions, "triangles": np.array([[0, 1, 2], [1, 3, 2]])}
@@ -87,6 +87,7 @@ def test_the_examples_run(tmp_path, monkeypatch):
         warnings.simplefilter("ignore", fg.LossWarning)
         for code in (overview, *map(example, fg.__all__)):
             code = re.sub(r'preset="draft"(, iterations=500)?', f'preset="draft"{few}', code)
+            code = code.replace("fg.make_mesh(model, t=0.25)", "fg.make_mesh(model, t=0.25, detail=48)")
             shutil.rmtree("run", ignore_errors=True) if "fg.train" in code else None
             exec(code, {**names, "model": model, "camera": camera})  # noqa: S102 (our own docstrings)
     assert Path("copy.ply").exists() and Path("cameras.json").exists() and len(fg.load("run/model.safetensors"))
