@@ -23,6 +23,11 @@ SOURCE, FACTS = "fastgs_probe_of", "fastgs_probe_facts"
 """Custom properties of a world that was made here: the world that it was copied from, and what that one looked like."""
 NODES = "FAST-GS Light Probe", "FAST-GS Light Probe Cover"
 """The nodes of the panorama's colours, and of how much they cover of the world, which are pictures of one sequence."""
+PLAIN = 'ShaderNodeOutputWorld', 'ShaderNodeBackground', 'ShaderNodeRGB', 'ShaderNodeValue'
+"""Nodes of a world that looks alike in all directions: over it, the panorama alone says where Cycles looks for light."""
+MAP = 4096
+"""Cycles does not know the panorama's width, and evaluates so many directions around (and half as many from top to bottom) before each
+frame, which takes a second of processor.  Four for each pixel make as little noise."""
 FIRST = -1_000_000
 """Frame from which the sequence of one picture begins: on any frame, a node's file is the one of its offset."""
 
@@ -74,14 +79,15 @@ def follow(scene, other) -> bool:
     Returns whether one is another now.
     """
     moved = False
-    on, before = bool(all_of(scene)), _made(other)
+    probes, before = all_of(scene), _made(other)
     slots = [(other, "world", scene.world)]
     slots += [(other.view_layers[layer.name], "world_override", layer.world_override) for layer in scene.view_layers
               if hasattr(layer, "world_override") and layer.name in other.view_layers]
     for owner, name, world in slots:
         now, wanted = getattr(owner, name), world
-        if on and (world is not None or name == "world"):
-            wanted = now if _is_copy(now, world) else _copied(world, f"{scene.name} {NAME}")
+        if probes and (world is not None or name == "world"):
+            width = probes[0].fastgs.probe.width
+            wanted = now if _is_copy(now, world, width) else _copied(world, f"{scene.name} {NAME}", width)
         if now != wanted:
             setattr(owner, name, wanted)
             moved = True
@@ -149,29 +155,32 @@ def _images(world) -> list:
     return [node.image for node in world.node_tree.nodes if node.name == NODES[0] and node.image is not None]
 
 
-def _is_copy(made, world) -> bool:
-    return has_panorama(made) and made.get(SOURCE) == world and made[FACTS] == _facts(world)
+def _is_copy(made, world, width: int) -> bool:
+    return has_panorama(made) and made.get(SOURCE) == world and made[FACTS] == _facts(world, width)
 
 
-def _facts(world) -> str:
-    """What a world looks like, as a text that can be compared."""
-    known = "" if world is None else repr([world.name_full, *sky.facts(world)])
+def _facts(world, width: int) -> str:
+    """What a world looks like, and how wide the panorama over it is, as a text that can be compared."""
+    known = repr([width, *([] if world is None else [world.name_full, *sky.facts(world)])])
     return hashlib.sha256(known.encode()).hexdigest()
 
 
-def _copied(world, name: str):
-    """A copy of a world, or a black one, with the panorama over it."""
+def _copied(world, name: str, width: int):
+    """A copy of a world, or a black one, with the panorama over it, which is so many pixels wide."""
     made = bpy.data.worlds.new(name) if world is None else world.copy()
     made.name = name
     if world is not None:
         made[SOURCE] = world
-    made[FACTS] = _facts(world)
+    made[FACTS] = _facts(world, width)
     if bpy.app.version < (5, 0, 0) and not made.use_nodes:  # later worlds always have nodes
         made.use_nodes = True
         made.node_tree.nodes["Background"].inputs["Color"].default_value = (*made.color, 1)
     tree = made.node_tree
     if world is None:
         tree.nodes["Background"].inputs["Strength"].default_value = 0.0
+    cycles = getattr(made, "cycles", None)  # not where Cycles is disabled
+    if cycles and cycles.sampling_method == 'AUTOMATIC' and all(node.bl_idname in PLAIN for node in tree.nodes):
+        cycles.sampling_method, cycles.sample_map_resolution = 'MANUAL', min(4 * width, MAP)
     image = bpy.data.images.new(name, 1, 1, float_buffer=True)
     image.source, image.colorspace_settings.name = 'SEQUENCE', 'Non-Color'
     b = Builder(tree)

@@ -297,3 +297,23 @@ def test_a_second_probe_is_told(scene, blob, add_camera, mirror, choose, render,
     choose()
     render("PNG16")
     assert any("Light Probe.001" in text for text in warned())
+
+
+def test_light_is_looked_for_in_as_many_directions_as_the_panorama_needs(scene, probe, choose, sky, module):
+    """Where the world itself is of one colour and its sampling was left to Cycles, which would take seconds for each frame."""
+    made, own, other = probe(width=256), scene.world, choose()
+
+    def chosen():
+        module("scene.composite").follow(scene)
+        return other.world.cycles.sampling_method, other.world.cycles.sample_map_resolution
+
+    assert chosen() == ('MANUAL', 1024), "fewer than four for each pixel make a little more noise"
+    made.fastgs.probe.width = 8192
+    assert chosen() == ('MANUAL', 4096), "and never more than Cycles' own"
+    assert own.cycles.sampling_method == 'AUTOMATIC', "the scene's own world stays as it is"
+    own.node_tree.nodes.new('ShaderNodeTexSky')
+    assert chosen()[0] == 'AUTOMATIC', "Cycles knows best for what it makes"
+    own.node_tree.nodes.remove(own.node_tree.nodes[-1])
+    own.cycles.sampling_method = 'NONE'
+    own.node_tree.nodes["Background"].inputs["Strength"].default_value = 0.5
+    assert chosen()[0] == 'NONE'
