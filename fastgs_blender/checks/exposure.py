@@ -90,14 +90,13 @@ def _uneven(section: Section, even: dict[str, float], gains: dict[str, np.ndarra
     off = {view: value for view, value in even.items()
            if (max(value, 1 / value) - 1 > UNEVEN_WHOLE if view in by_pictures else
                differs(np.log(value), gains[view][1].mean(), np.log1p(UNEVEN)))}
-    words = {view: f"{view} is {value:.2f} times as bright ({abs(np.log2(value) * GAMMA):.1f} stops "
-                   f"{'brighter' if value > 1 else 'darker'})"
-             for view, value in off.items()}
+    words = {view: f"{view} is {abs(np.log2(value) * GAMMA):.1f} stops {'brighter' if value > 1 else 'darker'} (its colours have "
+                   f"{value:.2f} times the values)" for view, value in off.items()}
     for views, severity, how in (
             ([view for view in off if view not in by_pictures], "poor", "By what they see in common, "),
             ([view for view in off if view in by_pictures], "note", "Unsure: by whole pictures, which may show other things, ")):
         if views:
-            section.add(severity, f"{how}{listed([words[view] for view in views])} as the others: surfaces change their colour from view "
+            section.add(severity, f"{how}{listed([words[view] for view in views])} than the others: surfaces change their colour from view "
                         "to view.", advice, views, ("brightness", _farthest(even[v] for v in views), "times"))
     tints = {}
     for view, gain in gains.items():

@@ -11,6 +11,7 @@ from typing import Any
 
 import numpy as np
 
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from .appearance import RGB, SH, SH_C0, Appearance, Changing, Features
 from .gaussians import Clip, GaussianModel
@@ -37,6 +38,9 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
     Example:
         both = fg.concatenate([model, fg.freeze(model, 0.5)])
     """
+    wrong = models if not isinstance(models, Sequence) else next((m for m in models if not isinstance(m, GaussianModel)), None)
+    if wrong is not None:
+        raise FastGSError(f"models that are put together stand in a list, as fg.load(path) reads them; this is {shown(wrong)}.")
     if not models:
         raise FastGSError("there are no models to put together; give one at least.")
     first = models[0]

@@ -42,6 +42,7 @@ MAKES = [
     (lambda: camera(width=0), "1 x 1 .*0 x 48"), (lambda: camera(width=np.inf), "width.*inf"),
     (lambda: camera(fx="wide"), "fx.*'wide'"),
     (lambda: camera(fy=0), "not be 0"), (lambda: camera(world_to_camera=np.eye(3)), "4 x 4"),
+    (lambda: camera(world_to_camera=np.zeros((4, 4))), "directions"),
     (lambda: camera(world_to_camera="eye"), r"\(4, 4\).*'eye'"), (lambda: camera(window=(1, 2)), r"\(x, y, width, height\)"),
     (lambda: camera(window=(0, 0, 65, 2)), "window.*within"),
     (lambda: fg.Fourier(-1), "order.*from 0 to .*-1"), (lambda: fg.Fourier(2, "a"), "scale.*offset"),

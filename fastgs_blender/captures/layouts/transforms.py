@@ -21,7 +21,7 @@ from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..point_files import load_points
 from ..rigs import Entry, from_entries
-from ..sources import PICTURES, Source
+from ..sources import PICTURES, VIDEOS, Source
 from .transforms_views import Picture, times_of, views_of
 
 name = "transforms.json"
@@ -45,6 +45,10 @@ def load(path: Path, options: Options) -> Capture:
     pictures = [picture for split, file in files.items() for picture in _read(file, tables[file], split)]
     there = [picture for picture in pictures if picture.source is not None]
     if not there:
+        films = [picture.stated for picture in pictures if Path(picture.stated).suffix.lower() in VIDEOS]
+        if films:
+            raise FastGSError(f"{path}: {shortened(films[0])} is a film, and transforms.json lists pictures, each with its place; make "
+                              "pictures of it (ffmpeg -i FILM %04d.png) and list these.")
         raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {shortened(pictures[0].stated)}); copy them "
                           "beside it.")
     views = views_of(pictures)

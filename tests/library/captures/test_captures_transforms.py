@@ -203,3 +203,11 @@ def test_a_part_of_stated_times_is_a_clip_of_its_own(dnerf):
     path, _ = dnerf
     part = open_capture(path / "transforms_train.json", frames=slice(1, None))
     assert [shot.t for shot in part.shots] == [0, 0.5] and part.clip.frame_count == 2
+
+
+def test_films_in_place_of_pictures_are_told(tmp_path):
+    """They are not missing: they are there, but of another kind."""
+    (tmp_path / "cam00.mp4").write_bytes(b"film")
+    write(tmp_path / "transforms.json", [frame(RIG, 0, "cam00.mp4")], **intrinsics(SIMPLE))
+    with pytest.raises(fg.FastGSError, match=r"'cam00\.mp4' is a film.*pictures.*ffmpeg"):
+        open_capture(tmp_path)

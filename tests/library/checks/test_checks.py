@@ -90,6 +90,7 @@ def test_a_blurred_camera_is_named(faulty):
 def test_a_darker_camera_and_a_changing_exposure_are_named(faulty):
     found = told(faulty, "exposure")
     assert set(found) == {"cam03", "cam06"} and abs(found["cam03"].figure[1] - 0.7) < 0.02
+    assert re.search("cam03 .*1.1 stops darker.*0.7. times", found["cam03"].sentence), "stops are of light, and the factor of the pictures"
     assert "changes its exposure" in found["cam06"].sentence and 0.15 < found["cam06"].figure[1] < 0.25
 
 

@@ -115,3 +115,6 @@ def test_models_of_other_kinds_are_not_put_together(rng):
             fg.concatenate([first, other])
     with pytest.raises(fg.FastGSError):
         fg.concatenate([])
+    for given, said in ((first, "list.*GaussianModel"), ([first, 3], "list.*3"), ([first, "m.ply"], "list.*'m.ply'")):
+        with pytest.raises(fg.FastGSError, match=said):
+            fg.concatenate(given)
