@@ -55,11 +55,11 @@ BODIES = {
 
 @pytest.fixture
 def shot(scene, add, bake, add_camera, render):
-    """shot(body): a baked body that turns on a floor, under a box that flies by: (its object, the box, lit(), cycles()).
+    """shot(body, samples=48): a baked body that turns on a floor, under a box that flies by: (its object, the box, lit(), cycles()).
 
     lit() is the picture of the splats on the current frame, cycles() Cycles' of the meshes; the scene is at frame 4.
     """
-    def take(body="torus", count=60_000):
+    def take(body="torus", count=60_000, samples=48):
         add_camera(location=(0, -4.5, 2.6), rotation=(64, 0, 0))
         scene.render.resolution_x, scene.render.resolution_y = 200, 150
         kind, given = BODIES[body]
@@ -78,7 +78,7 @@ def shot(scene, add, bake, add_camera, render):
         scene.view_settings.view_transform = 'Raw'
         scene.render.film_transparent = True
         box.visible_camera = False
-        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = 128, 0, False
+        scene.cycles.samples, scene.cycles.max_bounces, scene.cycles.use_denoising = samples, 0, False
         look = splats.fastgs
         look.captured_light, look.lamp_light, look.shadows = 0, 1, 1
 
@@ -114,7 +114,7 @@ def test_sun_and_area_light_a_bake_as_cycles_lights_its_mesh(scene, shot, lamp, 
     """Brightness, edges of a moving box's shadow, and rest where nothing moves."""
     lamp('SUN', (2, -1, 3), energy=2.0, angle=0.02)
     lamp('AREA', (-1.5, -1.5, 2.5), energy=60, size=0.6)
-    _, box, splats, meshes = shot(body)
+    _, box, splats, meshes = shot(body, samples=128)  # noise moves no edge
     lit, cycles = splats(), meshes()
     assert np.array_equal(lit, splats())
     assert psnr(lit, cycles) > 30
@@ -165,6 +165,7 @@ def test_a_world_with_a_picture_lights_as_in_cycles(scene, shot, tmp_path):
     tree = scene.world.node_tree
     around = tree.nodes.new('ShaderNodeTexEnvironment')
     around.image = image
+    scene.world.cycles.sampling_method, scene.world.cycles.sample_map_resolution = 'MANUAL', 512  # its own choice takes a second
     tree.links.new(around.outputs["Color"], tree.nodes["Background"].inputs["Color"])
     _, _, lit, cycles = shot()
     scene.fastgs.shadow_samples = 64
