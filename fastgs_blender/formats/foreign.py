@@ -109,7 +109,7 @@ def _guess(head: bytes) -> str:
         return "it begins with zeros, as files do whose download was broken off"
     text = head.lstrip(b"\xef\xbb\xbf \t\r\n").lower()
     if text.startswith((b"<!doctype html", b"<html")):
-        return "it is a web page, perhaps in the place of a download"
+        return "it is a web page, perhaps in the place of a download (for one that plays a model, choose the model)"
     if text.startswith((b"<?xml", b"<")):
         return "it is XML"
     if text.startswith((b"{", b"[")):
