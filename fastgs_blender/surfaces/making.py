@@ -108,6 +108,7 @@ def make_mesh(model: GaussianModel, t: float = 0.0, *, detail: int = 160, closed
         mesh = _made(model, times[at], times[begin:end], detail, closed, smoothing, limit,
                      partial(lambda done, share: progress(done + (1 - done) * share), done))
         found.append(mesh)
+        closed = found[0].closed  # those that are made anew later are like the first one
         first, last = np.searchsorted(times, mesh.times[[0, -1]])
         if last + 1 < end:  # the next one is made where it probably holds back to here
             waiting.append((last + 1, end, last + 1 + _inside(end - last - 1, last - at)))
