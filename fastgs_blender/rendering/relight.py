@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
-from itertools import pairwise
+from functools import partial
 from typing import Any
 
 import numpy as np
@@ -35,7 +35,7 @@ from .shading import shading_of
 from .shadow_edges import Taken, on_edge
 from .spots import Spots, evenly
 from .unlit import captured_light
-from .ways import Side, Ways
+from .ways import Sides, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
@@ -130,34 +130,29 @@ class SceneLight:
         for number, lamp in enumerate(self.lamps):
             ways, colour = scene.of_lamp(lamp.name, self.clear.get(lamp.name)), lamp.colour / len(lamp.colour)
             shares, lit = _shares(lamp, spots)
-            sides = ways.sides(lamp.light, np.take(spots.position, lit, 1), spots.wide)
-            parts = [spots.part(lit[side.rows]) for side in sides]
-            rows = np.concatenate([lit[side.rows] for side in sides] or [lit])  # of each side side by side
-            ends = np.cumsum([0, *map(len, parts)])
-            alike, full = np.zeros((4, len(rows)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
-            looks = [(k, *each) for k in range(len(colour)) for each in zip(sides, parts)]
-            through = several(lambda k, side, part, ways=ways, lamp=lamp: self._through(ways, lamp, k, side, part, backend), looks)
-            for k, share in enumerate(taken([shares], rows, -1)[0]):
-                for begin, end in pairwise(ends):
-                    (meshes, splats), arrived = next(through), share[begin:end]
-                    for sums, let in zip(alike[:, begin:end], (1, meshes, meshes * splats, splats), strict=True):
-                        sums += arrived * let
+            asked = spots.part(lit)
+            sides = ways.sides(lamp.light, asked.position, asked.sizes())
+            alike, full = np.zeros((4, len(lit)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
+            through = several(partial(self._through, ways, lamp, sides, asked, backend), [(k,) for k in range(len(colour))])
+            for k, (arrived, (meshes, splats)) in enumerate(zip(taken([shares], lit, -1)[0], through, strict=True)):
+                for sums, let in zip(alike, (1, meshes, meshes * splats, splats), strict=True):
+                    sums += arrived * let
                 if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
                     for (row,), sums in zip(full, alike, strict=True):
-                        row[rows] = sums
+                        row[lit] = sums
                     total[self.levels[number]] += full * colour[k][:, None].astype(np.float32)
                     alike[:] = 0
                 progress((number + (k + 1) / len(colour)) / len(self.lamps))
         return total
 
-    def _through(self, ways: Ways, lamp: Lamp, number: int, side: Side, spots: Spots, backend: Any) -> tuple[np.ndarray, np.ndarray]:
-        """Which share of the light of a lamp's point comes past the meshes, and past the splats to a side's spots: [M] each."""
+    def _through(self, ways: Ways, lamp: Lamp, sides: Sides, spots: Spots, backend: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
+        """Which share of the light of a lamp's point of that number comes past the meshes, and past the splats to spots: [M] each."""
         part = np.abs(lamp.colour).sum(1)
         share = part[number] / max(part.sum(), 1e-30)
         size, each = max(int(self.size * min(share**0.25, 1)), 64), max(round(SPREAD * share), 1)
         thickness, places = backend.spread(spots.position, spots.axes, lamp.light.points[number], lamp.light.parallel,
                                            evenly(number * each + np.arange(each)))
-        return ways.past(lamp.light, number, side, places, size, self.bias, self.bias + REACH * thickness)
+        return ways.past(lamp.light, number, sides, places, size, self.bias, self.bias + REACH * thickness)
 
 
 def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:

@@ -19,7 +19,7 @@ from ..util.threads import several
 from .exposure import PLASTIC
 from .holdout import as_triangles
 from .instances import ViewedInstance
-from .ways import Side, Ways, across
+from .ways import Ways, across
 
 
 @dataclass(frozen=True, eq=False)
@@ -105,16 +105,15 @@ class Shadow:
             return out
         points = camera.points(np.where(seen, depth, 1))[seen].T
         ways, total = Ways(backend, instances, None).of_lamp(self.lamp), np.zeros(points.shape[1])
-        sides = ways.sides(self.light, points)
+        sides, count = ways.sides(self.light, points), len(self.light.points)
 
-        def let(number: int, side: Side) -> np.ndarray:
-            return ways.past(self.light, number, side, points[:, None, side.rows], self.size, over_splats=self.bias)[1]
+        def let(number: int) -> np.ndarray:
+            return ways.past(self.light, number, sides, points[:, None], self.size, over_splats=self.bias)[1]
 
-        looks = [(number, side) for number in range(len(self.light.points)) for side in sides]
-        for done, ((_, side), share) in enumerate(zip(looks, several(let, looks), strict=True), 1):
-            total[side.rows] += share
-            progress(done / len(looks))
-        out[seen] = total / len(self.light.points)
+        for done, share in enumerate(several(let, [(number,) for number in range(count)]), 1):
+            total += share
+            progress(done / count)
+        out[seen] = total / count
         return out
 
 

@@ -33,7 +33,7 @@ from .instances import Instance, ViewedInstance
 from .lamps import Lamp
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Side, Ways, without_colours
+from .ways import Sides, Ways, without_colours
 
 PLACES = 4
 """Places in a pixel that a lamp is looked at from, all its points together."""
@@ -340,23 +340,21 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     scene, middle, total = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1), np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        for side in ways.sides(lamp.light, middle, lambda: 3**0.5 * float(np.abs(places - middle[:, None]).max())):
-            here, facing, within = (np.take(array, side.rows, -1) for array in (middle, normal, places))
-            sums, told = np.zeros((3, len(side.rows))), partial(_told, lamp, ways, side, here, facing, within, light)
-            for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
-                for row, value in zip(sums, (share, share * open_, share**2), strict=True):
-                    row += value
-            total[:, level, side.rows] += sums
+        sides = ways.sides(lamp.light, middle, 3**0.5 * float(np.abs(places - middle[:, None]).max()))
+        told = partial(_told, lamp, ways, sides, middle, normal, places, light)
+        for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
+            for row, value in zip(total[:, level], (share, share * open_, share**2), strict=True):
+                row += value
     free, left, squares = total
     return (left / np.maximum(free, 1e-30)).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
 
 
-def _told(lamp: Lamp, ways: Ways, side: Side, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
+def _told(lamp: Lamp, ways: Ways, sides: Sides, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
           bright: float, part: float) -> tuple[np.ndarray, np.ndarray]:
-    """How much light the lamp's point of that number, of that brightness and part of all, sends to a side's pixels [R], and which share of
-    that comes past the meshes."""
+    """How much light the lamp's point of that number, of that brightness and part of all, sends to pixels [R], and which share of that
+    comes past the meshes."""
     share, each = bright * lamp.share(number, middle, normal), min(max(round(PLACES * part), 1), PLACES)
     own, open_ = places[:, (number * each + np.arange(each)) % PLACES], np.ones(len(share), np.float32)
     lit = np.flatnonzero(share) if 2 * np.count_nonzero(share) < len(share) else slice(None)  # copies cost as much as asking for a few
-    open_[lit] = ways.past(lamp.light, number, side, own[:, :, lit], light.size, light.bias)[0]
+    open_[lit] = ways.past(lamp.light, number, sides, own[:, :, lit], light.size, light.bias)[0]
     return share, open_

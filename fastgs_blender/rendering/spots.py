@@ -44,10 +44,9 @@ class Spots:
     def __len__(self) -> int:
         return self.position.shape[1]
 
-    def wide(self) -> float:
-        """How far from a spot's position its places lie at most, but for a few large spots."""
-        sizes = (self.axes * self.axes).sum(0).max(0)
-        return float(np.sqrt(np.partition(sizes, last)[last])) if (last := int(0.999 * (len(self) - 1))) >= 0 else 0.0
+    def sizes(self) -> np.ndarray:
+        """How far from each spot's position its places lie at most: [P]."""
+        return np.sqrt((self.axes * self.axes).sum(0).max(0))
 
     def part(self, rows: np.ndarray) -> Spots:
         """Some of the spots, in an order."""

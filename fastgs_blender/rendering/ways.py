@@ -6,8 +6,8 @@ own: they are as sharp as what throws them, and they do not flicker while things
 """
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, field, replace
 from functools import cached_property, reduce
 from typing import Any
 
@@ -39,12 +39,61 @@ SEEN = 1.5
 
 @dataclass(frozen=True, eq=False)
 class Side:
-    """What one picture from each point of a lamp shows: which of the points that may be lit, and what may throw shadows on these:
-    instances, or parts of them, and triangles [F, 3, 3] at each moment (Ways)."""
+    """What may throw shadows on the points that a picture from a lamp shows: instances, or parts of them, and triangles [F, 3, 3] at each
+    moment (Ways)."""
 
-    rows: np.ndarray
     instances: list[Instance]
     moments: Sequence[np.ndarray]
+
+
+@dataclass(frozen=True, eq=False)
+class Sides:
+    """The pictures from each point of a lamp that show all points well: one, or those through the sides of a cube.
+
+    whole   what the one shows; None: there is a cube
+    centre  of the cube [3]
+    radius  how far from it the lamp's points lie
+    deep    how far from it points lie, at most, along an axis
+    found   the cube's sides by their numbers, once they have been asked for
+    """
+
+    ways: Ways
+    whole: Side | None
+    centre: np.ndarray
+    radius: float
+    deep: float
+    found: dict[int, Side] = field(default_factory=dict)
+
+    def split(self, points: np.ndarray) -> list[tuple[Side, np.ndarray]]:
+        """Which of points [3, P] each side shows."""
+        if self.whole is not None:
+            return [(self.whole, np.arange(points.shape[1]))]
+        towards = points - self.centre[:, None]
+        x, y, z = np.abs(towards)
+        axis = np.where(x >= y, np.where(x >= z, 0, 2), np.where(y >= z, 1, 2))
+        number = 2 * axis + (np.choose(axis, towards) > 0)
+        return [(self._through(side), np.flatnonzero(number == side)) for side in np.flatnonzero(np.bincount(number)).tolist()]
+
+    def _through(self, number: int) -> Side:
+        """A side of the cube; number: two for each axis, the negative side first."""
+        if number not in self.found:
+            axis, sign = number // 2, 2 * (number % 2) - 1
+
+            def may_shade(position: np.ndarray, reach: np.ndarray) -> np.ndarray:
+                """Which balls around positions [3, N] light may touch on its way: [M]."""
+                towards, reach = position - self.centre.astype(np.float32)[:, None], reach + np.float32(self.radius)
+                ahead = sign * towards[axis]
+                inside, beside = (ahead >= -reach) & (ahead <= self.deep + reach), ahead + np.float32(2**0.5) * reach
+                for k in {0, 1, 2} - {axis}:
+                    inside &= np.abs(towards[k]) <= beside
+                return np.flatnonzero(inside)
+
+            ways = self.ways
+            inside = [(each, may_shade(*balls)) for each, balls in zip(ways.instances, ways.balls, strict=True)]
+            triangles = may_shade(*ways.circles) if ways.moments else np.zeros(0, int)
+            self.found[number] = Side([each.part(index) for each, index in inside if len(index)],
+                                      [each[triangles] for each in ways.moments])
+        return self.found[number]
 
 
 class Ways:
@@ -71,57 +120,54 @@ class Ways:
         made.instances = opaque
         return made
 
-    def sides(self, light: Any, points: np.ndarray, wide: Callable[[], float] = lambda: 0.0) -> list[Side]:
-        """The pictures from each point of a lamp (shadow.Light) that show points [3, P] well: one, or those through the sides of a cube.
-
-        wide  says how far from its point each of the places lies, at most, that are asked for in the end
-        """
-        if not points.shape[1]:
-            return []
+    def sides(self, light: Any, points: np.ndarray, beside: np.ndarray | float = 0.0) -> Sides:
+        """The pictures from a lamp (shadow.Light) for points [3, P], or for places so far beside them, at most: [P] or a number."""
         centre = light.points.mean(0)
         radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
-        middle = -centre if light.parallel else _bounds(towards).mean(0)
-        (x, y, z), depth = towards, product(middle, towards)
-        if light.parallel or (depth >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all():
-            return [Side(np.arange(len(x)), self.instances, self.moments)]
-        axis = np.abs(towards).argmax(0)
-        side = 2 * axis + (np.take_along_axis(towards, axis[None], 0)[0] > 0)
-        through = [(number, np.flatnonzero(side == number)) for number in np.unique(side).tolist()]
-        around = max(radius, wide())
-        return [self._through(number, rows, np.take(points, rows, 1), centre, around) for number, rows in through]
+        (x, y, z), middle = towards, -centre if light.parallel or not points.size else _bounds(towards).mean(0)
+        one = light.parallel or (product(middle, towards) >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all()
+        deep = float((np.abs(towards).max(0) + beside).max(initial=0.0))
+        return Sides(self, Side(self.instances, self.moments) if one else None, centre, float(radius), deep)
 
-    def past(self, light: Any, number: int, side: Side, places: np.ndarray, size: int, over_meshes: float = 0.0,
+    def past(self, light: Any, number: int, sides: Sides, places: np.ndarray, size: int, over_meshes: float = 0.0,
              over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
         """Which share of the light of a lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
 
-        side    of these points
+        sides   of the lamp for these points
         places  [3, S, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
                 of the first
         size   pixels of the longer side of the picture, or of a right angle of it
         over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
         """
         _, several, count = places.shape
-        points = places.reshape(3, -1)
-        meshes, splats = np.ones(count, np.float32), np.ones(count, np.float32)
+        meshes, splats = np.ones(several * count, np.float32), np.ones(count, np.float32)
         over = np.broadcast_to(np.float64(over_splats), count)
-        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend) if count else None
+        for side, among in sides.split(places.reshape(3, -1)):
+            for eye, points, rows in self._views(light, number, np.take(places.reshape(3, -1), among, 1), among, size):
+                if side.moments and len(side.moments[0]):
+                    last = len(side.moments) - 1
+                    at = 0.0 if light.times is None else light.times[number] * last
+                    triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
+                    meshes[rows] = self.backend.numpy(self.backend.past_triangles(triangles, eye, points,
+                                                                                  np.full(len(rows), float(over_meshes))))
+                viewed, first = [each.viewed(eye) for each in side.instances], np.searchsorted(rows, count)  # those of first places
+                if viewed and first:
+                    found = self.backend.past_splats(viewed, eye, np.ascontiguousarray(points[:, :first]), over[rows[:first]])
+                    splats[rows[:first]] = self.backend.numpy(found)
+        return meshes.reshape(several, count).mean(0), splats
+
+    def _views(self, light: Any, number: int, points: np.ndarray, rows: np.ndarray,
+               size: int) -> Iterator[tuple[Camera, np.ndarray, np.ndarray]]:
+        """Pictures that show points [3, Q] well, of those rows [Q] among more: (camera, the points that it shows, their rows) of each."""
+        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend) if len(rows) else None
         if eye is None:
-            return meshes, splats
-        crowd = _crowd(eye, places)
-        if crowd is not None:
-            for rows in (np.flatnonzero(crowd), np.flatnonzero(~crowd)):
-                meshes[rows], splats[rows] = self.past(light, number, side, np.take(places, rows, 2), size, over_meshes, over[rows])
-            return meshes, splats
-        if side.moments and len(side.moments[0]):
-            last = len(side.moments) - 1
-            at = 0.0 if light.times is None else light.times[number] * last
-            triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
-            found = self.backend.past_triangles(triangles, eye, points, np.full(several * count, float(over_meshes)))
-            meshes = self.backend.numpy(found).reshape(several, count).mean(0)
-        viewed = [each.viewed(eye) for each in side.instances]
-        if viewed:
-            splats = self.backend.numpy(self.backend.past_splats(viewed, eye, places[:, 0], over.copy()))
-        return meshes, splats
+            return
+        crowd = _crowd(eye, points)
+        if crowd is None:
+            yield eye, points, rows
+            return
+        for some in (crowd, ~crowd):
+            yield from self._views(light, number, points[:, some], rows[some], size)
 
     @cached_property
     def _around(self) -> np.ndarray:
@@ -130,7 +176,7 @@ class Ways:
         return np.concatenate([_corners(self.instances), *boxes])
 
     @cached_property
-    def _balls(self) -> list[tuple[np.ndarray, np.ndarray]]:
+    def balls(self) -> list[tuple[np.ndarray, np.ndarray]]:
         """Of each instance, its Gaussians' centres [3, N] in the world and how far from these they may be seen [N]."""
         found = []
         for each in self.instances:
@@ -141,32 +187,8 @@ class Ways:
             found.append((centre.astype(np.float32), reach))
         return found
 
-    def _through(self, number: int, rows: np.ndarray, points: np.ndarray, centre: np.ndarray, wide: float) -> Side:
-        """What a side of the cube around a lamp shows, of those points [3, R] that it shows; rows: which of all they are.
-
-        number  two for each axis, the negative side first
-        centre  of the lamp [3]; light may begin as far from it, and end as far from a point, as wide says
-        """
-        axis, sign = number // 2, 2 * (number % 2) - 1
-        depth = np.maximum(sign * (points[axis] - centre[axis]), 1e-30)
-        tangents = [(k, (points[k] - centre[k]) / depth) for k in range(3) if k != axis]
-        edges = [(k, way, (way * tangent).max()) for k, tangent in tangents for way in (1, -1)]
-
-        def may_shade(position: np.ndarray, reach: np.ndarray) -> np.ndarray:
-            """Which balls around positions [3, N] light may touch on its way: [M]."""
-            ahead, reach = sign * (position[axis] - centre[axis]), reach + wide
-            found = (ahead >= -reach) & (ahead <= depth.max() + reach)
-            for k, way, most in edges:
-                found &= way * (position[k] - centre[k]) <= most * ahead + np.sqrt(1 + most * most) * reach
-            return np.flatnonzero(found)
-
-        inside = [(each, may_shade(*balls)) for each, balls in zip(self.instances, self._balls, strict=True)]
-        triangles = may_shade(*self._circles) if self.moments else np.zeros(0, int)
-        return Side(rows, [each.part(index) for each, index in inside if len(index)],
-                    [each[triangles] for each in self.moments])
-
     @cached_property
-    def _circles(self) -> tuple[np.ndarray, np.ndarray]:
+    def circles(self) -> tuple[np.ndarray, np.ndarray]:
         """Of each triangle the centre [3, F] and the radius [F] of a ball that holds it at all moments."""
         corners = np.concatenate([each.T for each in self.moments], 1)
         low, high = corners.min(1), corners.max(1)
@@ -209,13 +231,13 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
     size    pixels of the picture's longer side, or of a right angle where it is wider
     backend  a loaded backend (util/backends.py)
     """
-    low, high = backend.view_box(points, np.eye(3, 4), True)
-    middle = (low + high) / 2
-    forward = -place if parallel else middle - place
+    forward = -place if parallel else points.mean(1) - place
     forward = forward / max(np.linalg.norm(forward), 1e-30)
     right, down = across(forward)
     axes = np.stack([right, down, forward])
     if parallel:  # from before everything
+        low, high = backend.view_box(points, np.eye(3, 4), True)
+        middle = (low + high) / 2
         reach = max(np.linalg.norm(high - low) / 2, np.linalg.norm(around - middle, axis=1).max(initial=0))
         place = middle - 4 * reach * forward
     pose = np.eye(4)
@@ -231,25 +253,25 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
     return Camera(int(width), int(height), focal, focal, cx, cy, pose, orthographic=parallel, near=0.0, far=float(box[1, 2]))
 
 
-def _crowd(eye: Camera, places: np.ndarray) -> np.ndarray | None:
-    """Of points, each as several places [3, S, P], those that lie close together in a picture while the others make it far wider: [P].
-    None where it shows all of them well.
+def _crowd(eye: Camera, points: np.ndarray) -> np.ndarray | None:
+    """Which of points [3, P] lie close together in a picture while the others make it far wider: [P].  None where it shows all well.
 
     A capture's backdrop has a few Gaussians of its whole size.  In one picture with them the rest would lie in a few pixels.  (Tukey's
     fences: two widths of the middle half to each side of its middle.)
     """
-    _, several, count = places.shape
-    if count < FEW:
+    if points.shape[1] < FEW:
         return None
 
     def pixels(points: np.ndarray) -> np.ndarray:
         return eye.pixels((product(eye.world_to_camera[:3, :3], points) + eye.world_to_camera[:3, 3:]).T)
 
-    low, high = np.quantile(pixels(places[:, 0, ::count // FEW]), (0.25, 0.75), axis=0)
+    some = pixels(points[:, ::points.shape[1] // FEW])
+    quarter = len(some) // 4
+    low, high = np.array([np.partition(axis, (quarter, -1 - quarter))[[quarter, -1 - quarter]] for axis in some.T]).T
     reach = np.maximum(2 * (high - low), 1)
     if not 2 * APART * reach.max() <= max(eye.width, eye.height):
         return None
-    near = (np.abs(pixels(places.reshape(3, -1)) - (low + high) / 2) <= reach).all(1).reshape(several, count).all(0)
+    near = (np.abs(pixels(points) - (low + high) / 2) <= reach).all(1)
     return None if near.all() or not near.any() else near
 
 

@@ -21,9 +21,10 @@ from . import raster, simd
 from .holdout import Occluder
 from .jit import inline, kernel
 from .rasterise import ENTRIES, TILES
+from .reaching import cells_of
 from .sort import order_by
 from .splats import project_instances
-from .tile_lists import TileLists, list_tiles
+from .tile_lists import TileLists, grid_of, list_tiles
 
 TILE = 64
 """Pixels of a tile's side: large splats, which stand near a lamp, are in few lists."""
@@ -58,10 +59,11 @@ def past_splats(instances, camera, points: np.ndarray, over: np.ndarray) -> np.n
     """PictureBackend.past_splats()."""
     asserts.past_splats(points, over)
     layout, out = Layout(instances, False, plane=True), np.ones(points.shape[1], np.float32)
-    splats = project_instances(instances, camera, layout)
+    grid = grid_of(camera, TILE)
+    seen, begins, asked = _by_tile(grid, TILE // PART, PART, camera, points, over)
+    splats = project_instances(instances, camera, layout, cells=cells_of(camera.window, seen, asked[:begins[-1]]))
     order, layer = _by_depth(splats.depth[splats.index], splats.index)
     listing = TileLists.of(order, splats.geometry, splats.attributes, camera, TILE)
-    seen, begins, asked = _by_tile(listing.grid, TILE // PART, PART, camera, points, over)
     for first, last in listing.bands(ENTRIES):
         lists = list_tiles(listing.segments, listing.counts, first, last)
         plane = raster.CHANNEL + layout.places["plane"].start

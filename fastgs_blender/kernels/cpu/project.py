@@ -18,25 +18,17 @@ from .crop import crop_share, in_ball
 from .jit import inline, kernel
 from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
+from .reaching import ROUNDING, before, extent, in_camera, put_boxes, rows_of
 from .sampling import PIXEL, blurs, far_squared
 from .spherical import sh_colour
 from .temporal import temporal_factor
 
 RGB, SH, FEATURES = range(3)
 REACH = oracle.REACH
-ROUNDING = 1.001
-"""Factor to the square of a reach, so that what is culled early is nothing that the window shows."""
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
 """Rows of what is made of eight Gaussians, after a splat's geometry."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
-
-
-@inline
-def rows_of(view):
-    """The rows of view [5, 3] as numbers: arrays would be read again after every write."""
-    return ((view[0, 0], view[0, 1], view[0, 2]), (view[1, 0], view[1, 1], view[1, 2]), (view[2, 0], view[2, 1], view[2, 2]),
-            (view[3, 0], view[3, 1], view[3, 2]), (view[4, 0], view[4, 1], view[4, 2]))
 
 
 @inline
@@ -84,13 +76,6 @@ def _axes(qw, qx, qy, qz):
     return ((1 - 2 * (qy * qy + qz * qz), 2 * (qx * qy + qw * qz), 2 * (qx * qz - qw * qy)),
             (2 * (qx * qy - qw * qz), 1 - 2 * (qx * qx + qz * qz), 2 * (qy * qz + qw * qx)),
             (2 * (qx * qz + qw * qy), 2 * (qy * qz - qw * qx), 1 - 2 * (qx * qx + qy * qy)))
-
-
-@inline
-def _in_camera(px, py, pz, row0, row1, row2, shift):
-    """A position in the camera's space."""
-    return (row0[0] * px + row0[1] * py + row0[2] * pz + shift[0], row1[0] * px + row1[1] * py + row1[2] * pz + shift[1],
-            row2[0] * px + row2[1] * py + row2[2] * pz + shift[2])
 
 
 @inline
@@ -180,48 +165,24 @@ def _slope(d0, d1, d2, u, v, s00, s01, s11, det, z, radius_x, radius_y):
     return where(finite, x, 0.0), where(finite, y, 0.0)
 
 
-@inline
-def _may_show(x, y, z, largest, coarse, view, lens, bounds):
-    """Whether the window may show Gaussians, whatever their shape: all it shows, and few others.
-
-    largest  standard deviation, coarse  at least the square of the coarsest pixel of the capture
-    bounds   square of how many standard deviations they reach, blur, 1 / Sampling.pixel or 0, orthographic, ObjectSettings.bends
-    """
-    row0, row1, row2, _, _ = view
-    fx, fy, cx, cy, _, _, low_x, high_x, low_y, high_y, left, right, top, bottom = lens
-    reach, blur, finer, orthographic, bends = bounds
-    per_depth = 1.0 if orthographic else 1.0 / z
-    x, y, size, pixels = x * per_depth, y * per_depth, largest * per_depth, finer * per_depth
-    a02, a12 = 0.0 if orthographic else min(max(x, low_x), high_x), 0.0 if orthographic else min(max(y, low_y), high_y)
-    u0, u1, u2 = row0[0] - a02 * row2[0], row0[1] - a02 * row2[1], row0[2] - a02 * row2[2]
-    v0, v1, v2 = row1[0] - a12 * row2[0], row1[1] - a12 * row2[1], row1[2] - a12 * row2[2]
-    size, blur = size * size, blur * max(coarse * pixels * pixels, 1.0)
-    across, down = max(left - cx - fx * x, fx * x + cx - right, 0.0), max(top - cy - fy * y, fy * y + cy - bottom, 0.0)
-    shows = ((across * across <= reach * (fx * fx * (u0 * u0 + u1 * u1 + u2 * u2) * size + blur))
-             & (down * down <= reach * (fy * fy * (v0 * v0 + v1 * v1 + v2 * v2) * size + blur)))
-    if bends and not orthographic:  # what is linearised nearer than at its centre is larger
-        shows = shows | (z * z <= REACH * REACH * (row2[0] * row2[0] + row2[1] * row2[1] + row2[2] * row2[2]) * (largest * largest))
-    return shows
-
-
 @kernel
 def opaque(first, last, boxes, look, arrays, times, view, lens, constants, number, found):
     """The Gaussians of first..last that are opaque enough at this time and may be seen; returns how many.
 
     Writes which they are into number, and their opacity and place into found [4, last - first + LANES].
 
-    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]
+    boxes      crops.crop_arrays of what crops the model; ViewedInstance.ball; which are hidden, [N] bool or [0]; reaching.cells_of()
     the rest   see project()
     """
-    crops, ball, hidden = boxes
+    crops, ball, hidden, cells = boxes
     position, _, scale, opacity, _, motion, _, mu_tau, temporal = arrays
     t, temporal_code, (index, weights, centred), _ = times
     blur, _, alpha_cut, _, orthographic, (captured, _), bends = constants
-    rows, near, far = rows_of(view), lens[4], lens[5]
+    rows, near, far, (left, right, top, bottom) = rows_of(view), lens[4], lens[5], lens[10:]
     row0, row1, row2, shift, _ = rows
     log2_cut, sized, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, captured[PIXEL] > 0.0
     finer = 1.0 / captured[PIXEL] if sampled else 0.0
-    hides, filtered, count = len(crops[1]) > 0, len(hidden) > 0, 0
+    hides, filtered, asked, count, made = len(crops[1]) > 0, len(hidden) > 0, len(cells[0]) > 0, 0, np.empty((5, LANES))
     for begin in range(first, last, LANES):
         n = following(begin, last)
         faintness = 1.0 + exp(-opacity[n])
@@ -231,20 +192,27 @@ def opaque(first, last, boxes, look, arrays, times, view, lens, constants, numbe
             continue
         px, py, pz = _moved3(motion, n, index, weights, centred, t - mu_tau[n])
         px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
-        x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        x, y, z = in_camera(px, py, pz, row0, row1, row2, shift)
         alive &= (z > near) & (z <= far)
         largest = exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
         if sized:
             largest *= size_factor(largest, look)
         reach = 2.0 * math.log(2.0) * ROUNDING * (log2(sigma) - log2_cut)
-        alive &= _may_show(x, y, z, largest, far_squared(px, py, pz, captured), rows, lens, (reach, blur, finer, orthographic, bends))
+        mx, my, wide, high, nearby = extent(x, y, z, largest, far_squared(px, py, pz, captured), rows, lens,
+                                            (reach, blur, finer, orthographic, bends))
+        across, down = max(left - mx, mx - right, 0.0), max(top - my, my - bottom, 0.0)
+        alive &= ((across * across <= wide) & (down * down <= high)) | nearby
+        if asked:
+            put_boxes(made, mx, my, wide, high, z, cells)
         put(found, 0, count, sigma)
         put(found, 1, count, px)
         put(found, 2, count, py)
         put(found, 3, count, pz)
-        lanes, begun = bits(alive), count
+        lanes, everywhere, begun = bits(alive), bits(nearby), count
         for lane in range(min(LANES, last - begin)):
             if not lanes >> lane & 1 or (filtered and hidden[begin + lane]):
+                continue
+            if asked and not (everywhere >> lane & 1 or before(made, lane, cells[0])):
                 continue
             for row in range(4):
                 found[row, count] = found[row, begun + lane]
@@ -284,7 +252,7 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
     for k in range(0, count, LANES):
         n = picked(number, k, count)
         sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
-        x, y, z = _in_camera(px, py, pz, row0, row1, row2, shift)
+        x, y, z = in_camera(px, py, pz, row0, row1, row2, shift)
         delta = t - mu_tau[n]
         qw, qx, qy, qz, _ = _quaternion(rotation, n, _moved4(rotation_motion, n, r_index, r_weights, r_centred, delta))
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)

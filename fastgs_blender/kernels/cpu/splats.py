@@ -20,6 +20,7 @@ from .lanes import LANES
 from .memory import empty
 from .project_backward import project_backward as project_rows_backward
 from .rasterise import RasterGradients
+from .reaching import NOWHERE
 from .sort import order_by
 
 CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
@@ -57,8 +58,9 @@ class ProjectedSplats:
         return order_by(np.concatenate(pieces) if pieces else self.depth[:0], self.index)
 
 
-def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None) -> ProjectedSplats:
-    """Slice, cull and project all instances."""
+def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None,
+                      cells=NOWHERE) -> ProjectedSplats:
+    """Slice, cull and project all instances; cells: of points before which splats must lie, as cells_of() has them."""
     total = sum(len(instance.model) for instance in instances)
     attributes = empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32, total)
     arrays = empty((total, 5), np.float64, total), attributes, empty((total,), np.float32, total), empty((total,), np.int32, total)
@@ -74,7 +76,7 @@ def project_instances(instances: list[ViewedInstance], camera: Camera, layout: L
         return row, project.project(row, count, number, found, look, *inputs, *arrays)
 
     for instance in instances:
-        cut = crop_arrays(instance.settings.crops), instance.ball, instance.hidden
+        cut = crop_arrays(instance.settings.crops), instance.ball, instance.hidden, cells
         look = instance.look.copy()
         look[Look.GRADED] *= not isinstance(instance.model.appearance, Features)  # a decoder's colours are changed when it has made them
         count, rest = len(instance.model), (cut, look, _inputs(instance, camera, layout))

@@ -37,8 +37,7 @@ class TileLists:
         wanted  [tiles] bool, of which there are lists; None: of all
         """
         x0, y0, width, height = camera.window
-        tile_x, tile_y = x0 // tile, y0 // tile
-        grid = (tile_x, tile_y, (x0 + width - 1) // tile - tile_x + 1, (y0 + height - 1) // tile - tile_y + 1)
+        grid = grid_of(camera, tile)
         return cls((x0, y0, x0 + width, y0 + height), grid, *list_spans(order, geometry, attributes, grid, tile, wanted))
 
     def bands(self, limit: int) -> list[tuple[int, int]]:
@@ -56,6 +55,13 @@ class TileLists:
     def frame(self) -> tuple:
         """columns, x0, y0, right, bottom, tile_x, tile_y, as the kernels take them."""
         return (self.grid[2], *self.window, *self.grid[:2])
+
+
+def grid_of(camera: Camera, tile: int) -> tuple[int, int, int, int]:
+    """TileLists.grid of a camera's window."""
+    x0, y0, width, height = camera.window
+    tile_x, tile_y = x0 // tile, y0 // tile
+    return tile_x, tile_y, (x0 + width - 1) // tile - tile_x + 1, (y0 + height - 1) // tile - tile_y + 1
 
 
 def list_spans(order, geometry, attributes, grid, tile, wanted=None):

@@ -8,9 +8,11 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 import fastgs_blender as fg
+from fastgs_blender.kernels.cpu import passing
+from fastgs_blender.kernels.cpu.reaching import NOWHERE
 from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.shadow import Light
-from fastgs_blender.rendering.ways import Ways
+from fastgs_blender.rendering.ways import Side, Ways, view_from
 from fastgs_blender.util.backends import load_backend
 
 OPACITY = 0.4
@@ -26,9 +28,9 @@ def past(models, points, light, meshes=None, backend="cpu", size=256, **over):
     """The shares of the light that come past meshes and splats to points, of each point of a lamp the mean."""
     ways = Ways(load_backend(backend), [Instance(model, np.eye(4), 0.0) for model in models], meshes)
     points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
-    for side in ways.sides(light, points.T):
-        for k in range(len(light.points)):
-            found[:, side.rows] += np.array(ways.past(light, k, side, points.T[:, None, side.rows], size, **over)) / len(light.points)
+    sides = ways.sides(light, points.T)
+    for k in range(len(light.points)):
+        found += np.array(ways.past(light, k, sides, points.T[:, None], size, **over)) / len(light.points)
     return found
 
 
@@ -86,19 +88,18 @@ def test_a_side_of_the_cube_has_all_that_throws_shadows_there(radius):
     moments = [corners, corners + np.float32([0.5, 0, -0.2])]
     ways = Ways(backend, [Instance(model, np.eye(4), 0.0)], None, moments=moments)
     light = Light(radius * rng.uniform(-1, 1, (4, 3)) / 2 + 0.1, times=np.array([0, 0.3, 0.7, 1]))
-    points, beside = rng.uniform(-2.5, 2.5, (3, 400)), 0.05 * rng.normal(size=(3, 2, 400))
+    points = rng.uniform(-2.5, 2.5, (3, 400))
     if not radius:
         points[:, 0] = 0.1  # where the lamp is
-    sides = ways.sides(light, points, lambda: float(np.linalg.norm(beside, axis=0).max()))
-    assert sorted(np.concatenate([side.rows for side in sides])) == list(range(400)) and len(sides) == 6
-    assert all(len(side.instances[0].model) < 0.6 * n and len(side.moments[0]) < 40 for side in sides)
-    for side in sides:
-        places = (points[:, None] + beside)[..., side.rows]
-        for k in range(4):
-            mine, whole = (ways.past(light, k, each, places, 256)
-                           for each in (side, replace(side, instances=ways.instances, moments=ways.moments)))
-            assert np.array_equal(mine[0], whole[0])
-            assert np.abs(mine[1] - whole[1]).max() < 1e-3
+    places = points[:, None] + rng.normal(size=(3, 2, 400)) * np.where(np.arange(400) % 40, 0.05, 2.0)  # some of them far from the point
+    sides = ways.sides(light, points, np.linalg.norm(places - points[:, None], axis=0).max(0))
+    for k in range(4):
+        mine, whole = (ways.past(light, k, each, places, 256) for each in (sides, replace(sides, found=dict.fromkeys(range(6), Side(
+            ways.instances, ways.moments)))))
+        assert np.array_equal(mine[0], whole[0])
+        assert np.abs(mine[1] - whole[1]).max() < 1e-3
+    assert len(sides.found) == 6
+    assert all(len(side.instances[0].model) < 0.6 * n and len(side.moments[0]) < 40 for side in sides.found.values())
 
 
 def test_kernels_agree_with_the_oracle():
@@ -113,6 +114,32 @@ def test_kernels_agree_with_the_oracle():
         cpu, oracle = (past([model], points, light, meshes, backend) for backend in ("cpu", "reference"))
         assert np.array_equal(cpu[0], oracle[0])
         assert np.abs(cpu[1] - oracle[1]).mean() < 2e-3 and np.mean(np.abs(cpu[1] - oracle[1]) > 0.02) < 0.02
+
+
+@given(seed=st.integers(0, 10_000), parallel=st.booleans())
+@settings(max_examples=15, deadline=None)
+def test_what_lies_beside_all_points_or_behind_them_is_left_out_and_changes_nothing(seed, parallel):
+    """Points in a few heaps among splats, large ones and small: with all splats, and with those that may lie before a point."""
+    rng = np.random.default_rng(seed)
+    n = 400
+    model = fg.GaussianModel(position=rng.uniform([-3, -3, 0.5], [3, 3, 6], (n, 3)), rotation=rng.normal(size=(n, 4)),
+                             opacity=rng.normal(0, 2, n), features=np.zeros((n, 3)),
+                             scale=rng.uniform(-5, -2, (n, 3)) + 2 * (rng.random((n, 1)) < 0.1))
+    heaps = rng.uniform([-2, -2, 2], [2, 2, 5], (4, 3))
+    points = (heaps[rng.integers(0, 4, 300)] + 0.1 * rng.normal(size=(300, 3))).T
+    light = SUN if parallel else LAMP
+    eye = view_from(parallel, light.points[0], points, points.T, 512, load_backend("cpu"))
+    viewed = [Instance(model, np.eye(4), 0.0).viewed(eye)]
+    few, sizes = passing.past_splats(viewed, eye, points, np.zeros(300)), []
+    with pytest.MonkeyPatch.context() as patch:
+        def projected(*args, cells, whole=passing.project_instances):
+            sizes.extend(len(whole(*args, cells=each).index) for each in (cells, NOWHERE))
+            return whole(*args, cells=NOWHERE)
+
+        patch.setattr(passing, "project_instances", projected)
+        every = passing.past_splats(viewed, eye, points, np.zeros(300))
+    assert sizes[0] < sizes[1]
+    assert np.abs(few - every).max() < 1e-5
 
 
 @pytest.mark.parametrize(("light", "far"), [(SUN, 3000.0), (LAMP, 8.0)])
