@@ -267,10 +267,20 @@ def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: floa
 def _believed(one: np.ndarray, pixels: tuple[np.ndarray, ...]) -> np.ndarray:
     """How far pixels [P] show one surface, where those around them do as well."""
     (rows, columns), size = _framed(pixels, AROUND_ONE)
-    sheets = np.zeros((2, *size))
-    sheets[0, rows, columns], sheets[1, rows, columns] = one, 1
-    share, there = (_box(sheet.cumsum(0).cumsum(1), rows, columns, AROUND_ONE) for sheet in sheets)
+    at, sheets = rows * size[1] + columns, np.zeros((2, *size))
+    sheets.reshape(2, -1)[:, at] = one, np.ones(len(one))
+    within = (rows - AROUND_ONE - 1) * (size[1] - 2 * AROUND_ONE - 1) + columns - AROUND_ONE - 1
+    share, there = (np.take(_around_each(sheet, AROUND_ONE), within) for sheet in sheets)
     return one * np.clip((share / there - FEW) / (ENOUGH - FEW), 0, 1)
+
+
+def _around_each(sheet: np.ndarray, radius: int) -> np.ndarray:
+    """Sums over squares of pixels around those of a sheet [h, w] that have so many and one more to each side."""
+    side = 2 * radius + 1
+    rows = np.cumsum(sheet, 0)
+    rows = rows[side:] - rows[:-side]
+    columns = np.cumsum(rows, 1, out=rows)
+    return columns[:, side:] - columns[:, :-side]
 
 
 def _framed(pixels: tuple[np.ndarray, ...], edge: int) -> tuple[tuple[np.ndarray, ...], list[int]]:

@@ -64,15 +64,18 @@ class Sides:
     deep: float
     found: dict[int, Side] = field(default_factory=dict)
 
-    def split(self, points: np.ndarray) -> list[tuple[Side, np.ndarray]]:
-        """Which of points [3, P] each side shows."""
+    def split(self, points: np.ndarray) -> Iterator[tuple[Side, np.ndarray, np.ndarray]]:
+        """Points [3, P] by the side that shows them: the side, its points, and which they are."""
         if self.whole is not None:
-            return [(self.whole, np.arange(points.shape[1]))]
+            yield self.whole, points, np.arange(points.shape[1])
+            return
         towards = points - self.centre[:, None]
         x, y, z = np.abs(towards)
         axis = np.where(x >= y, np.where(x >= z, 0, 2), np.where(y >= z, 1, 2))
         number = 2 * axis + (np.choose(axis, towards) > 0)
-        return [(self._through(side), np.flatnonzero(number == side)) for side in np.flatnonzero(np.bincount(number)).tolist()]
+        for side in np.flatnonzero(np.bincount(number)).tolist():
+            rows = np.flatnonzero(number == side)
+            yield self._through(side), np.take(points, rows, 1), rows
 
     def _through(self, number: int) -> Side:
         """A side of the cube; number: two for each axis, the negative side first."""
@@ -122,12 +125,13 @@ class Ways:
 
     def sides(self, light: Any, points: np.ndarray, beside: np.ndarray | float = 0.0) -> Sides:
         """The pictures from a lamp (shadow.Light) for points [3, P], or for places so far beside them, at most: [P] or a number."""
-        centre = light.points.mean(0)
-        radius, towards = np.linalg.norm(light.points - centre, axis=1).max(), points - centre[:, None]
-        (x, y, z), middle = towards, -centre if light.parallel or not points.size else _bounds(towards).mean(0)
-        one = light.parallel or (product(middle, towards) >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all()
-        deep = float((np.abs(towards).max(0) + beside).max(initial=0.0))
-        return Sides(self, Side(self.instances, self.moments) if one else None, centre, float(radius), deep)
+        centre, everything = light.points.mean(0), Side(self.instances, self.moments)
+        if light.parallel or not points.size:
+            return Sides(self, everything, centre, 0.0, 0.0)
+        radius, towards = float(np.linalg.norm(light.points - centre, axis=1).max()), points - centre[:, None]
+        (x, y, z), middle = towards, _bounds(towards).mean(0)
+        one = (product(middle, towards) >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all()
+        return Sides(self, everything if one else None, centre, radius, float((np.abs(towards).max(0) + beside).max()))
 
     def past(self, light: Any, number: int, sides: Sides, places: np.ndarray, size: int, over_meshes: float = 0.0,
              over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
@@ -142,8 +146,8 @@ class Ways:
         _, several, count = places.shape
         meshes, splats = np.ones(several * count, np.float32), np.ones(count, np.float32)
         over = np.broadcast_to(np.float64(over_splats), count)
-        for side, among in sides.split(places.reshape(3, -1)):
-            for eye, points, rows in self._views(light, number, np.take(places.reshape(3, -1), among, 1), among, size):
+        for side, there, among in sides.split(places.reshape(3, -1)):
+            for eye, points, rows in self._views(light, number, there, among, size):
                 if side.moments and len(side.moments[0]):
                     last = len(side.moments) - 1
                     at = 0.0 if light.times is None else light.times[number] * last
@@ -152,7 +156,7 @@ class Ways:
                                                                                   np.full(len(rows), float(over_meshes))))
                 viewed, first = [each.viewed(eye) for each in side.instances], np.searchsorted(rows, count)  # those of first places
                 if viewed and first:
-                    found = self.backend.past_splats(viewed, eye, np.ascontiguousarray(points[:, :first]), over[rows[:first]])
+                    found = self.backend.past_splats(viewed, eye, points[:, :first], over[rows[:first]])
                     splats[rows[:first]] = self.backend.numpy(found)
         return meshes.reshape(several, count).mean(0), splats
 
