@@ -350,7 +350,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     scene, middle, total = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1), np.zeros((3, count, len(normal.T)))
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        sides = ways.sides(lamp.light, middle, 3**0.5 * float(np.abs(places - middle[:, None]).max()))
+        sides = ways.sides(lamp.light, middle, 0.0 if lamp.light.parallel else 3**0.5 * float(np.abs(places - middle[:, None]).max()))
         told = partial(_told, lamp, ways, sides, middle, normal, places, light)
         for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
             for row, value in zip(total[:, level], (share, share * open_, share**2), strict=True):
