@@ -67,7 +67,7 @@ class Lamp:
             if self.shape is not None:
                 towards = product(self.shape, towards)
                 length = np.sqrt(np.maximum(np.einsum("km,km->m", towards, towards), 1e-12))
-            share *= self.beam(product(-self.axis[number], towards) / length)
+            share *= self.beam(np.einsum("k,km->m", -self.axis[number].astype(np.float32), towards) / length)
         return share
 
     def like(self, other: Lamp) -> bool:

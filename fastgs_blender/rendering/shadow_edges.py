@@ -266,35 +266,36 @@ def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: floa
 
 def _believed(one: np.ndarray, pixels: tuple[np.ndarray, ...]) -> np.ndarray:
     """How far pixels [P] show one surface, where those around them do as well."""
-    (rows, columns), size = _framed(pixels, AROUND_ONE)
-    at, sheets = rows * size[1] + columns, np.zeros((2, *size))
-    sheets.reshape(2, -1)[:, at] = one, np.ones(len(one))
-    within = (rows - AROUND_ONE - 1) * (size[1] - 2 * AROUND_ONE - 1) + columns - AROUND_ONE - 1
-    share, there = (np.take(_around_each(sheet, AROUND_ONE), within) for sheet in sheets)
+    at, size = _framed(pixels, AROUND_ONE)
+    share, there = (_box(_totals(size, at, values), at, AROUND_ONE) for values in (one, 1.0))
     return one * np.clip((share / there - FEW) / (ENOUGH - FEW), 0, 1)
 
 
-def _around_each(sheet: np.ndarray, radius: int) -> np.ndarray:
-    """Sums over squares of pixels around those of a sheet [h, w] that have so many and one more to each side."""
-    side = 2 * radius + 1
-    rows = np.cumsum(sheet, 0)
-    rows = rows[side:] - rows[:-side]
-    columns = np.cumsum(rows, 1, out=rows)
-    return columns[:, side:] - columns[:, :-side]
+def _framed(pixels: tuple[np.ndarray, ...], edge: int) -> tuple[np.ndarray, tuple[int, int]]:
+    """Where pixels lie in a sheet that just holds them and an edge around, for _box(), and its size."""
+    rows, columns = (axis - (axis.min() - edge - 1) for axis in pixels)
+    size = int(rows.max()) + 1 + edge, int(columns.max()) + 1 + edge
+    return rows * size[1] + columns, size
 
 
-def _framed(pixels: tuple[np.ndarray, ...], edge: int) -> tuple[tuple[np.ndarray, ...], list[int]]:
-    """Rows and columns of pixels in a sheet that just holds them and an edge around, for _box(), and its size."""
-    corner = [axis.min() - edge - 1 for axis in pixels]
-    return tuple(axis - first for axis, first in zip(pixels, corner, strict=True)), [
-        axis.max() - first + 1 + edge for axis, first in zip(pixels, corner, strict=True)]
+def _sheet(size: tuple[int, int], at: np.ndarray, values: np.ndarray | float, others: float = 0.0) -> np.ndarray:
+    """A sheet of a size with values at the places `at`, and others."""
+    sheet = np.full(size, others)
+    sheet.reshape(-1)[at] = values
+    return sheet
 
 
-def _box(total: np.ndarray, rows: np.ndarray, columns: np.ndarray, radius: int) -> np.ndarray:
-    """Sums over squares of pixels around these rows and columns, from a sheet's running sums."""
-    top, left = rows - radius - 1, columns - radius - 1
-    bottom, right = rows + radius, columns + radius
-    return total[bottom, right] - total[top, right] - total[bottom, left] + total[top, left]
+def _totals(size: tuple[int, int], at: np.ndarray, values: np.ndarray | float) -> np.ndarray:
+    """The running sums of such a sheet, along both axes."""
+    sheet = _sheet(size, at, values)
+    return np.cumsum(np.cumsum(sheet, 0, out=sheet), 1, out=sheet)
+
+
+def _box(total: np.ndarray, at: np.ndarray, radius: int) -> np.ndarray:
+    """Sums over squares of pixels around those places, from a sheet's running sums."""
+    width, sums = total.shape[1], total.reshape(-1)
+    below, above = at + radius * width, at - (radius + 1) * width
+    return sums[below + radius] - sums[above + radius] - sums[below - radius - 1] + sums[above - radius - 1]
 
 
 def _wide(shown: Shown) -> np.ndarray:
@@ -314,20 +315,18 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
 def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
     """Shares [P, L] at pixels `seen` of a window, without the steps that lamps of so many points [P, L] make."""
     (at, size), out = _framed(seen, WIDEST), past.copy()
+    total = _totals(size, at, 1.0)
     for lamp in np.flatnonzero((points > 1.5).any(0)):
-        there, mean, low, high = np.zeros(size), np.zeros(size), *(np.full(size, edge, np.float32) for edge in (np.inf, -np.inf))
-        there[at], low[at], high[at], mean[at] = 1, *[past[:, lamp]] * 3
-        total, step, radius = there.cumsum(0).cumsum(1), 2.001 / np.maximum(points[:, lamp], 1), 0
-        summed = mean.cumsum(0).cumsum(1)
+        low, high = (_sheet(size, at, past[:, lamp], edge).astype(np.float32) for edge in (np.inf, -np.inf))
+        summed, step, radius = _totals(size, at, past[:, lamp]), 2.001 / np.maximum(points[:, lamp], 1), 0
         while radius < WIDEST:
             radius, off = max(2 * radius, 1), max(radius, 1)
             for axis in (0, 1):
                 low = np.minimum(low, np.minimum(np.roll(low, off, axis), np.roll(low, -off, axis)))
                 high = np.maximum(high, np.maximum(np.roll(high, off, axis), np.roll(high, -off, axis)))
-            differ = high[at] - low[at]
+            differ = high.reshape(-1)[at] - low.reshape(-1)[at]
             narrow = np.flatnonzero((differ > 0) & (differ <= step))
-            rows, columns = at[0][narrow], at[1][narrow]
-            out[narrow, lamp] = _box(summed, rows, columns, radius) / _box(total, rows, columns, radius)
+            out[narrow, lamp] = _box(summed, at[narrow], radius) / _box(total, at[narrow], radius)
     return out
 
 
@@ -365,6 +364,7 @@ def _told(lamp: Lamp, ways: Ways, sides: Sides, middle: np.ndarray, normal: np.n
     comes past the meshes."""
     share, each = bright * lamp.share(number, middle, normal), min(max(round(PLACES * part), 1), PLACES)
     own, open_ = places[:, (number * each + np.arange(each)) % PLACES], np.ones(len(share), np.float32)
-    lit = np.flatnonzero(share) if 2 * np.count_nonzero(share) < len(share) else slice(None)  # copies cost as much as asking for a few
+    some = share != 0
+    lit = np.flatnonzero(some) if 2 * np.count_nonzero(some) < len(share) else slice(None)  # copies cost as much as asking for a few
     open_[lit] = ways.past(lamp.light, number, sides, own[:, :, lit], light.size, light.bias)[0]
     return share, open_
