@@ -14,6 +14,7 @@ from fastgs_blender.rendering.instances import Instance
 from fastgs_blender.rendering.shadow import Light
 from fastgs_blender.rendering.ways import Side, Ways, view_from
 from fastgs_blender.util.backends import load_backend
+from fastgs_blender.util.rotations import to_matrices, unit
 
 OPACITY = 0.4
 
@@ -140,6 +141,35 @@ def test_what_lies_beside_all_points_or_behind_them_is_left_out_and_changes_noth
         every = passing.past_splats(viewed, eye, points, np.zeros(300))
     assert sizes[0] < sizes[1]
     assert np.abs(few - every).max() < 1e-5
+
+
+def along_rays(model, start, points):
+    """The share of light that comes from a place past Gaussians to points, from each one's highest density along the ray."""
+    turn = to_matrices(unit(model.rotation.astype(float)))
+    whiten = (turn / np.exp(model.scale.astype(float))[:, None]).transpose(0, 2, 1)
+    opacity, left = 1 / (1 + np.exp(-model.opacity.astype(float))), []
+    from_start = model.position - start
+    for towards in points - start:
+        a, b = np.einsum("nij,nj->ni", whiten, from_start), whiten @ towards
+        far = (a * b).sum(1) / (b * b).sum(1)
+        alpha = np.minimum(opacity * np.exp(-0.5 * (np.cross(a, b) ** 2).sum(1) / (b * b).sum(1)), 0.99)
+        centre = from_start @ towards / (towards @ towards)
+        left.append(np.prod(1 - alpha[(alpha > 1 / 255) & (far > 0) & (np.maximum(far, centre) < 1)]))
+    return np.array(left)
+
+
+def test_places_far_away_do_not_turn_the_picture_from_the_others():
+    """From a lamp at a wall: places in the room get what comes along their rays, and those of a few Gaussians of a backdrop's size, too."""
+    rng = np.random.default_rng(11)
+    n = 600
+    model = fg.GaussianModel(position=rng.uniform([-2, -2, 2], [2, 2, 5], (n, 3)), rotation=rng.normal(size=(n, 4)),
+                             opacity=rng.normal(0, 1, n), scale=rng.uniform(-4, -1.2, (n, 3)), features=np.zeros((n, 3)))
+    points = rng.uniform([-2, -2, 3], [2, 2, 5], (500, 3))
+    places = points + 30 * rng.normal(size=(500, 3)) * (np.arange(500) % 50 == 0)[:, None]
+    ways = Ways(load_backend("cpu"), [Instance(model, np.eye(4), 0.0)], None)
+    sides = ways.sides(LAMP, points.T, np.linalg.norm(places - points, axis=1))
+    error = ways.past(LAMP, 0, sides, places.T[:, None], 512)[1] - along_rays(model, np.zeros(3), places)
+    assert np.sqrt((error**2).mean()) < 0.05
 
 
 @pytest.mark.parametrize(("light", "far"), [(SUN, 3000.0), (LAMP, 8.0)])
