@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util import picture_files
+from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.outputs import writing
 from . import colour
@@ -25,9 +26,12 @@ def save_image(image: Mapping[str, np.ndarray], path: str | os.PathLike, colour_
     Example:
         fg.save_image(fg.render(model, camera, 0.25), "frame.png", model.colour_space)
     """
+    if not isinstance(image, Mapping) or not {"rgb", "alpha"} <= set(image):
+        raise FastGSError("save_image() takes what render() returns for at least the passes rgb and alpha, "
+                          + (f"not {', '.join(image) or 'none'} alone." if isinstance(image, Mapping) else f"not {shown(image)}."))
     path = Path(path)
-    if path.suffix.lower() not in (".png", ".exr") or "rgb" not in image or "alpha" not in image:
-        raise FastGSError(f"{path}: a picture with the passes rgb and alpha is written as .png or .exr; choose one of them.")
+    if path.suffix.lower() not in (".png", ".exr"):
+        raise FastGSError(f"{path}: a picture is written as .png or .exr; choose one of them.")
     (write_png if path.suffix.lower() == ".png" else write_exr)(path, image, colour_space)
 
 

@@ -132,6 +132,6 @@ def test_save_image_writes_by_the_names_ending(picture, tmp_path, kind):
 
 def test_save_image_refuses_other_pictures(picture, tmp_path):
     image, _ = picture
-    for wrong, name in ((image, "a.jpg"), ({"depth": image["depth"]}, "a.png")):
-        with pytest.raises(fg.FastGSError, match=name):
+    for wrong, name, said in ((image, "a.jpg", "a.jpg"), ({"depth": image["depth"]}, "a.png", "depth"), (image["rgb"], "a.png", "array")):
+        with pytest.raises(fg.FastGSError, match=said):
             fg.save_image(wrong, tmp_path / name)
