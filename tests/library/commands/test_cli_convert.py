@@ -52,7 +52,7 @@ def test_frames_outside_of_the_clip_are_told(frames, run, rng, make_model, tmp_p
 
 
 @pytest.mark.slow
-def test_what_a_compressed_file_holds_is_reported(run, rng, make_model, tmp_path):
+def test_what_a_compressed_file_holds_is_reported(run, rng, make_model, tmp_path, few_pictures):
     """Compression leaves out what pictures do not show: here, Gaussians that nobody can see."""
     model = make_model(rng, 200, appearance="rgb")
     model.opacity[:150] = -30
@@ -128,7 +128,7 @@ def test_long_clips_in_chapters(run, rng, make_model, tmp_path):
 
 
 @pytest.mark.slow
-def test_a_page_of_a_long_clip_has_a_file_for_each_piece(run, rng, make_model, tmp_path):
+def test_a_page_of_a_long_clip_has_a_file_for_each_piece(run, rng, make_model, tmp_path, few_pictures):
     """Of models with a motion of their own one after another; a compressed file gives the page its own numbers."""
     names = [tmp_path / f"{name}.safetensors" for name in ("one", "two", "both")]
     for name, basis in zip(names, ("line", "cosine")):

@@ -50,7 +50,7 @@ def test_parts_of_several_models(model):
 
 
 @pytest.mark.slow
-def test_compressed_files_keep_parts(model, tmp_path):
+def test_compressed_files_keep_parts(model, tmp_path, few_pictures):
     """Their Gaussians come in another order: a part that is a half of space stays one."""
     half = replace(model, parts=fg.Parts.of({"Left": model.position[:, 0] < 0.0}))
     with warnings.catch_warnings():
