@@ -74,8 +74,7 @@ def render(parameters: dict[str, torch.Tensor], template: GaussianModel, camera:
 def moved(camera: Camera, pose: np.ndarray | torch.Tensor) -> Camera:
     """The camera after a pose of render()."""
     twist = np.asarray(pose.detach().cpu().numpy() if isinstance(pose, torch.Tensor) else pose, np.float64)
-    motion = np.eye(4)
-    motion[:3, :3], motion[:3, 3] = rotations.to_matrices(rotations.exp(twist[:3] / 2)), twist[3:]
+    motion = rotations.transform(rotations.to_matrices(rotations.exp(twist[:3] / 2)), twist[3:])
     return replace(camera, world_to_camera=motion @ camera.world_to_camera)
 
 
@@ -161,10 +160,8 @@ def pose_slope(ctx: Any, values: dict[str, torch.Tensor], by: dict[str, np.ndarr
 
 def _left(twist: np.ndarray, pivot: np.ndarray) -> np.ndarray:
     """The motion [4, 4] that turns about a point of the camera's space, and shifts."""
-    motion = np.eye(4)
-    motion[:3, :3] = rotations.to_matrices(rotations.exp(twist[:3] / 2))
-    motion[:3, 3] = twist[3:] + pivot - motion[:3, :3] @ pivot
-    return motion
+    turn = rotations.to_matrices(rotations.exp(twist[:3] / 2))
+    return rotations.transform(turn, twist[3:] + pivot - turn @ pivot)
 
 
 def _left_jacobian(vector: np.ndarray) -> np.ndarray:

@@ -10,6 +10,7 @@ import threading
 import numpy as np
 from mathutils import Matrix
 
+from ..fastgs_blender.util import rotations
 from . import arrays
 
 PLACE = "Model Position"
@@ -113,8 +114,7 @@ def _least_squares(place, at):
     if len(place) < 4 or np.linalg.matrix_rank(known.T @ known, tol=1e-9) < 4:
         return None
     solved = np.linalg.solve(known.T @ known, known.T @ at.astype(np.float64)).T
-    out = np.eye(4)
-    out[:3, :3] = solved[:, :3] / extent
+    out = rotations.transform(solved[:, :3] / extent)
     out[:3, 3] = solved[:, 3] - out[:3, :3] @ middle
     return out
 

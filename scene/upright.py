@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 from mathutils import Matrix
 
+from ..fastgs_blender.util import rotations
 from . import model_space, objects
 
 TURNS = {
@@ -32,8 +33,7 @@ def recorded_axis(obj: bpy.types.Object) -> str:
 def set_upright(obj: bpy.types.Object, axis: str) -> None:
     """Let an axis of the file point up.  Size and place within the object stay; crop boxes that belong to the object come along."""
     before = model_space.model_matrix(obj)
-    turn = np.eye(4)
-    turn[:3, :3] = np.array(TURNS[axis], np.float64) @ _rotation(before).T
+    turn = rotations.transform(np.array(TURNS[axis], np.float64) @ _rotation(before).T)
     if obj.data.users > 1:  # another object may want another axis
         obj.data = obj.data.copy()
     model_space.set_model_matrix(obj, turn @ before)

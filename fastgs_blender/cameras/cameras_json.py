@@ -12,6 +12,7 @@ from typing import Any
 
 import numpy as np
 
+from ..util import rotations
 from ..util.arguments import shown
 from ..util.errors import FastGSError
 from ..util.outputs import writing
@@ -98,9 +99,7 @@ def _view(path: str | Path, i: int, entry: Any) -> View:
     position = poses.near(poses.numbers(entry["position"], (3,), f"{where}: its position"), where)
     if np.abs(rotation).max() > 2 or np.abs(rotation @ rotation.T - np.eye(3)).max() > 1e-3 or np.linalg.det(rotation) < 0:
         raise FastGSError(f"{where} has a rotation that is not a rotation matrix (orthonormal, determinant +1).")
-    world_to_camera = np.eye(4)
-    world_to_camera[:3, :3] = rotation.T
-    world_to_camera[:3, 3] = -rotation.T @ position
+    world_to_camera = rotations.transform(rotation.T, -rotation.T @ position)
     camera = Camera(
         int(width), int(height), fx, fy,
         poses.number(entry["cx"], f"{where}: its cx") if "cx" in entry else width / 2,

@@ -127,7 +127,6 @@ def _cameras(base: Camera, position: np.ndarray, turned: np.ndarray, focal: np.n
     """Cameras like `base` at positions [M, 3], with camera-to-world rotations [M, 3, 3] in OpenCV axes and focal lengths [M]."""
     found = []
     for place, turn, fx in zip(position, turned, focal, strict=True):
-        pose = np.eye(4)
-        pose[:3, :3], pose[:3, 3] = turn, place
-        found.append(replace(base, fx=float(fx), fy=float(fx * base.fy / base.fx), world_to_camera=poses.inverse(pose)))
+        pose = poses.inverse(rotations.transform(turn, place))
+        found.append(replace(base, fx=float(fx), fy=float(fx * base.fy / base.fx), world_to_camera=pose))
     return found

@@ -68,11 +68,10 @@ def camera(name: str, where: str, matrix: object, distortion: object, rotation: 
     matrix = poses.numbers(matrix, (3, 3), f"{where}: its matrix")
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or np.abs(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] - [0, 0, 0, 1]).max() > 1e-6:
         raise FastGSError(f"{where}: its matrix must be fx 0 cx, 0 fy cy, 0 0 1 with focal lengths above 0.")
-    pose = np.eye(4)
     turn = np.squeeze(_array(rotation, f"{where}: its rotation"))
-    pose[:3, :3] = turn if turn.shape == (3, 3) else from_rodrigues(turn, f"{where}: its rotation")
-    pose[:3, 3] = poses.numbers(np.ravel(_array(translation, f"{where}: its translation")), (3,), f"{where}: its translation")
-    pose = poses.rigid(pose, f"{where}: its rotation and translation")
+    turn = turn if turn.shape == (3, 3) else from_rodrigues(turn, f"{where}: its rotation")
+    shift = poses.numbers(np.ravel(_array(translation, f"{where}: its translation")), (3,), f"{where}: its translation")
+    pose = poses.rigid(rotations.transform(turn, shift), f"{where}: its rotation and translation")
     if size is not None:
         sides = poses.listed(list(size), f"{where}: its size", 2)[:2]
         size = tuple(poses.integer(side, f"{where}: its size", 1, 1 << 20) for side in sides)

@@ -6,6 +6,7 @@ from ..model.filmed_from import filmed_from
 from ..model.framing import bounds, middle
 from ..model.gaussians import GaussianModel
 from ..model.surroundings import Viewpoint
+from ..util import rotations
 from ..util.errors import FastGSError
 from .camera import Camera
 from .poses import look_at
@@ -56,6 +57,5 @@ def overview(model: GaussianModel, width: int, height: int) -> Camera:
     rotation = RIGHT_DOWN_FORWARD[model.axes]
     centre, radius = (np.array(low) + high) / 2, max(float(np.linalg.norm(np.subtract(high, low))) / 2, 1e-6)
     focal, distance = FOCAL * min(width, height), 2.6 * radius + model.raster.near
-    matrix = np.eye(4)
-    matrix[:3, :3], matrix[:3, 3] = rotation, -rotation @ centre + [0, 0, distance]
-    return Camera(width, height, focal, focal, width / 2, height / 2, matrix)
+    pose = rotations.transform(rotation, -rotation @ centre + [0, 0, distance])
+    return Camera(width, height, focal, focal, width / 2, height / 2, pose)

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from ..util import rotations
 from ..util.errors import FastGSError
 from .camera import Camera
 
@@ -87,6 +88,5 @@ class Panorama:
             density = self.focal if self.projection == "equisolid" else max(self.width, self.height) / self.fov
         focal = SHARPNESS * density
         side = int(np.ceil(2 * focal * np.tan(np.pi / 4 + MARGIN))) + 2
-        turn = np.eye(4)
-        turn[:3, :3] = FACES[index]
-        return Camera(side, side, focal, focal, side / 2, side / 2, turn @ self.world_to_camera, near=self.near, far=self.far)
+        pose = rotations.transform(FACES[index]) @ self.world_to_camera
+        return Camera(side, side, focal, focal, side / 2, side / 2, pose, near=self.near, far=self.far)

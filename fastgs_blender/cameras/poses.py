@@ -36,10 +36,8 @@ def look_at(eye: ArrayLike, target: ArrayLike, up: ArrayLike = (0.0, 0.0, 1.0)) 
     length = np.linalg.norm(right)
     if not length > 1e-9 * np.linalg.norm(up):
         raise FastGSError("a camera needs a point to look at that is not its own, nor straight above or below it.")
-    matrix = np.eye(4)
-    matrix[:3, :3] = right / length, np.cross(forward, right / length), forward
-    matrix[:3, 3] = -matrix[:3, :3] @ place
-    return matrix
+    turn = np.stack([right / length, np.cross(forward, right / length), forward])
+    return rotations.transform(turn, -turn @ place)
 
 
 def table(value: object, where: str) -> dict:
@@ -140,17 +138,13 @@ def rigid(value: object, where: str, tolerance: float = 1e-3) -> np.ndarray:
 
 def inverse(pose: np.ndarray) -> np.ndarray:
     """The inverse of a rotation with a translation [4, 4]."""
-    out = np.eye(4)
-    out[:3, :3] = pose[:3, :3].T
-    out[:3, 3] = -pose[:3, :3].T @ pose[:3, 3]
-    return out
+    turn = pose[:3, :3].T
+    return rotations.transform(turn, -turn @ pose[:3, 3])
 
 
 def turned(world_to_camera: np.ndarray, turn: np.ndarray) -> np.ndarray:
     """The pose [4, 4] of a camera before which the world is turned by a rotation vector [3], in radians, in the camera's own axes."""
-    motion = np.eye(4)
-    motion[:3, :3] = rotations.to_matrices(rotations.exp(turn / 2))
-    return motion @ world_to_camera
+    return rotations.transform(rotations.to_matrices(rotations.exp(turn / 2))) @ world_to_camera
 
 
 def from_opengl(camera_to_world: np.ndarray) -> np.ndarray:
@@ -164,11 +158,7 @@ def from_quaternion(quaternion: object, translation: object, where: str) -> np.n
     length = np.linalg.norm(q)
     if length < 1e-6 or not np.isfinite(length):
         raise FastGSError(f"{where}: its quaternion must not be 0.")
-    pose = np.eye(4)
-    pose[:3, :3] = rotations.to_matrices(q / length)
-    pose[:3, 3] = t
-    near(t, where)
-    return pose
+    return rotations.transform(rotations.to_matrices(q / length), near(t, where))
 
 
 def near(place: np.ndarray, where: str) -> np.ndarray:

@@ -3,6 +3,7 @@
 import numpy as np
 from numpy.typing import ArrayLike
 
+from ..util import rotations
 from ..util.errors import FastGSError
 
 LEAST_ANGLE = 1e-3
@@ -54,7 +55,4 @@ def _motion(up: np.ndarray, place: np.ndarray) -> np.ndarray:
         x, y, w = axis
         cross = np.array([[0, -w, y], [w, 0, -x], [-y, x, 0]])
         turn = np.eye(3) + cross + cross @ cross / (1 + cosine)
-    motion = np.eye(4)
-    motion[:3, :3] = turn
-    motion[:3, 3] = np.array([place[0], place[1], 0]) - turn @ place
-    return motion
+    return rotations.transform(turn, np.array([place[0], place[1], 0]) - turn @ place)

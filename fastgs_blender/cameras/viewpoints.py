@@ -3,15 +3,13 @@
 import numpy as np
 
 from ..model.surroundings import Viewpoint
-from ..util.rotations import from_matrices, to_matrices, unit
+from ..util.rotations import from_matrices, to_matrices, transform, unit
 from .camera import Camera
 
 
 def camera_of(viewpoint: Viewpoint) -> Camera:
     """The pinhole camera of a viewpoint, in the model's space."""
-    pose = np.eye(4)
-    pose[:3, :3] = to_matrices(unit(np.array(viewpoint.rotation))[None])[0]
-    pose[:3, 3] = viewpoint.position
+    pose = transform(to_matrices(unit(np.array(viewpoint.rotation))[None])[0], viewpoint.position)
     return Camera(viewpoint.width, viewpoint.height, viewpoint.fx, viewpoint.fy, viewpoint.cx, viewpoint.cy, np.linalg.inv(pose))
 
 

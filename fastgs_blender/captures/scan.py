@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 
 from ..formats.turning import into_rdf
+from ..util import rotations
 from ..util.errors import FastGSError
 from .capture import Capture, Shot
 
@@ -33,8 +34,7 @@ def with_scan(capture: Capture, scan: Capture) -> Capture:
         raise FastGSError(f"{scan.path}: the masks of this scan mean something else ({scan.mask_means}) than the capture's "
                           f"({capture.mask_means}).")
     side = max(max(shot.camera.width, shot.camera.height) for shot in capture.shots if shot.camera is not None)
-    turn = np.eye(4)
-    turn[:3, :3] = into_rdf(scan.axes).T @ into_rdf(capture.axes)
+    turn = rotations.transform(into_rdf(scan.axes).T @ into_rdf(capture.axes))
     means = capture.mask_means if True in masked[0] else scan.mask_means
     shots = [_joined(shot, turn, side) for shot in photographs]
     notes = [*capture.notes, f"{len(shots)} pictures of the scan {scan.path} show the place"]

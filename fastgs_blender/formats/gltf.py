@@ -128,10 +128,8 @@ def _matrix(node: dict) -> np.ndarray:
 
     if "matrix" in node:
         return np.array(node["matrix"], np.float64).reshape(4, 4).T
-    out = np.eye(4)
     turn = rotations.to_matrices(rotations.unit(vector("rotation", 0, 0, 0, 1)[[3, 0, 1, 2]]))
-    out[:3, :3], out[:3, 3] = turn * vector("scale", 1, 1, 1), vector("translation", 0, 0, 0)
-    return out
+    return rotations.transform(turn * vector("scale", 1, 1, 1), vector("translation", 0, 0, 0))
 
 
 class _Buffers:

@@ -28,10 +28,8 @@ def turned(model: GaussianModel, turn: np.ndarray) -> GaussianModel:
         return model
     signs = np.diag(turn).astype(np.float32) if _only_signs(turn) else None
     position = model.position * signs if signs is not None else model.position.astype(np.float64) @ turn.T
-    place = np.eye(4)
-    place[:3, :3] = turn
     changed: dict[str, Any] = {"position": position, "rotation": _turned_rotation(model.rotation, turn),
-                               "surroundings": model.surroundings.moved(place)}
+                               "surroundings": model.surroundings.moved(rotations.transform(turn))}
     if isinstance(model.appearance, SH) and model.appearance.degree:
         count = (model.appearance.degree + 1) ** 2
         matrix = sh_turn(turn, model.appearance.degree)

@@ -17,6 +17,7 @@ from ..cameras.camera import Camera
 from ..model.appearance import RGB
 from ..model.gaussians import GaussianModel
 from ..model.slicing import Slice, opacities_at, still
+from ..util import rotations
 from ..util.threads import product, taken
 from .holdout import between
 from .instances import Instance
@@ -244,8 +245,7 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
         middle = (low + high) / 2
         reach = max(np.linalg.norm(high - low) / 2, np.linalg.norm(around - middle, axis=1).max(initial=0))
         place = middle - 4 * reach * forward
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = axes, -axes @ place
+    pose = rotations.transform(axes, -axes @ place)
     box = backend.view_box(points, pose[:3], parallel)
     if not np.isfinite(box).all():
         return None

@@ -5,6 +5,7 @@ As in EM-ICP (Granger and Pennec 2002), a place's partners are a cloud that shri
 """
 import numpy as np
 
+from ..util.rotations import transform
 from .skins import Cells, moved
 
 COARSE = 12.0
@@ -46,11 +47,9 @@ def em_icp(start: np.ndarray, moving: np.ndarray, fixed: np.ndarray, scale: bool
         middle_x, middle_y = rows @ x / total, columns @ b[:, :3] / total
         u, s, vt = np.linalg.svd((b[:, :3] - middle_y).T @ weight.T @ (x - middle_x))
         mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
-        step = np.eye(4)
         factor = (s * mirror).sum() / max((rows * ((x - middle_x) ** 2).sum(1)).sum(), 1e-30) if scale else 1.0
-        step[:3, :3] = factor * (u * mirror) @ vt
-        step[:3, 3] = middle_y - step[:3, :3] @ middle_x
-        added = step @ added
+        turn = factor * (u * mirror) @ vt
+        added = transform(turn, middle_y - turn @ middle_x) @ added
     return added @ motion
 
 

@@ -15,7 +15,7 @@ import numpy as np
 
 from ..rendering.instances import Instance
 from ..util.errors import FastGSError
-from ..util.rotations import exp, to_matrices
+from ..util.rotations import exp, to_matrices, transform
 from .em_icp import em_icp
 from .similarity import Similarity
 from .skins import Cells, moved, skin
@@ -249,7 +249,5 @@ def _solved(normal: np.ndarray, at: np.ndarray, off: np.ndarray, weight: np.ndar
     solved = np.zeros(7)
     solved[:columns] = np.linalg.solve(total[:columns, :columns] + 1e-9 * weight.sum() * np.eye(columns), wanted[:columns])
     solved /= reach  # turns in radians, the scale's logarithm; the move in reaches
-    out = np.eye(4)
-    out[:3, :3] = np.exp(np.clip(solved[6], -0.2, 0.2)) * to_matrices(exp(np.clip(solved[:3], -0.5, 0.5) / 2))
-    out[:3, 3] = middle + solved[3:6] * reach - out[:3, :3] @ middle
-    return out, float(max(firm[0], 0) / max(firm[-1], 1e-30))
+    turn = np.exp(np.clip(solved[6], -0.2, 0.2)) * to_matrices(exp(np.clip(solved[:3], -0.5, 0.5) / 2))
+    return transform(turn, middle + solved[3:6] * reach - turn @ middle), float(max(firm[0], 0) / max(firm[-1], 1e-30))

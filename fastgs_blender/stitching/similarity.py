@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from ..util.arguments import numbers
 from ..util.errors import FastGSError
+from ..util.rotations import transform
 
 FLAT = 0.02
 """Places whose triangle is flatter than this, its height by its length, lie on a line: hardly anything says how it turns about that."""
@@ -64,8 +65,6 @@ def similarity(places: ArrayLike, targets: ArrayLike, scale: bool = True) -> Sim
     mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
     turn = (u * mirror) @ vt
     factor = float((s * mirror).sum() / (x * x).sum()) if scale else 1.0
-    matrix = np.eye(4)
-    matrix[:3, :3] = factor * turn
-    matrix[:3, 3] = middle_b - factor * turn @ middle_a
+    matrix = transform(factor * turn, middle_b - factor * turn @ middle_a)
     left = factor * x @ turn.T - y
     return Similarity(matrix, float(np.sqrt((left * left).sum(1).mean())))

@@ -4,6 +4,7 @@
 A quaternion and its negative are the same rotation.  Products read from right to left, like those of matrices.
 """
 import numpy as np
+from numpy.typing import ArrayLike
 
 
 def unit(q: np.ndarray) -> np.ndarray:
@@ -24,6 +25,13 @@ def elements(q: np.ndarray) -> list[np.ndarray]:
     return [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
             2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
             2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)]
+
+
+def transform(linear: ArrayLike, shift: ArrayLike = (0, 0, 0)) -> np.ndarray:
+    """The matrix [4, 4] that applies a matrix [3, 3], such as a rotation, and then moves by a shift [3]."""
+    matrix = np.eye(4)
+    matrix[:3, :3], matrix[:3, 3] = linear, shift
+    return matrix
 
 
 def from_matrices(matrices: np.ndarray) -> np.ndarray:

@@ -121,6 +121,5 @@ def _blend(keys: np.ndarray, ends: np.ndarray, order: int, loop: bool, at: float
 def _camera(key: np.ndarray, picture: Picture, where: str) -> Camera:
     x, y, z, w = key[:4]
     rotation = CYCLE.T @ poses.from_quaternion((w, x, y, z), (0, 0, 0), where)[:3, :3]
-    pose = np.eye(4)
-    pose[:3, :3], pose[:3, 3] = rotation, (CYCLE.T @ key[4:7] - OFFSET) / SCALE
+    pose = rotations.transform(rotation, (CYCLE.T @ key[4:7] - OFFSET) / SCALE)
     return base.symmetric(picture.width, picture.height, base.focal_of(key[7], picture.height, where), poses.inverse(pose))

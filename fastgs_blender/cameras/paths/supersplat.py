@@ -17,6 +17,7 @@ from typing import Any
 
 import numpy as np
 
+from ...util import rotations
 from ...util.errors import FastGSError, LossWarning
 from ...util.reading import reading
 from ...util.zip_files import opened_zip, read_member
@@ -179,8 +180,6 @@ def _camera(point: np.ndarray, picture: Picture, where: str) -> Camera:
     forward = forward / distance
     right = np.cross(forward, UP)
     right = np.array([1.0, 0, 0]) if np.linalg.norm(right) < 1e-9 else right / np.linalg.norm(right)
-    pose = np.eye(4)
-    pose[:3, :3] = TURN @ np.stack([right, np.cross(forward, right), forward], 1)
-    pose[:3, 3] = TURN @ point[:3]
+    pose = rotations.transform(TURN @ np.stack([right, np.cross(forward, right), forward], 1), TURN @ point[:3])
     side = max(picture.width, picture.height)
     return base.symmetric(picture.width, picture.height, base.focal_of(point[6], side, where), poses.inverse(pose))

@@ -18,6 +18,7 @@ import numpy as np
 
 from ...cameras import opencv, poses
 from ...cameras.lens import Lens
+from ...util import rotations
 from ...util.errors import FastGSError
 from ...util.xml_files import plain_xml
 from .. import beside
@@ -62,8 +63,7 @@ def read_cameras(file: Path) -> list[opencv.Calibrated]:
         turn, scale, shift = worlds.get(camera.get("component_id"), (np.eye(3), 1.0, np.zeros(3)))
         to_world = poses.rigid(poses.numbers(_floats(camera.findtext("transform"), where), (16,), f"{where}: its transform").reshape(4, 4),
                                f"{where}: its transform")
-        pose = np.eye(4)
-        pose[:3, :3] = (turn @ to_world[:3, :3]).T
+        pose = rotations.transform((turn @ to_world[:3, :3]).T)
         pose[:3, 3] = -pose[:3, :3] @ (scale * turn @ to_world[:3, 3] + shift)
         called = Path(label).stem if Path(label).suffix.lower() in (*PICTURES, *VIDEOS) else label
         found.append(opencv.Calibrated(called, matrix, lens, poses.rigid(pose, f"{where}: its place"), size))

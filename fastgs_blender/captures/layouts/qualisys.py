@@ -20,6 +20,7 @@ import numpy as np
 
 from ...cameras import poses
 from ...cameras.lens import Intrinsics, Lens
+from ...util import rotations
 from ...util.errors import FastGSError
 from ...util.xml_files import plain_xml
 from ..beside import first_source, is_film
@@ -126,9 +127,8 @@ def _value(part: ET.Element, key: str, where: str, default: str | None = None) -
 
 def _pose(camera: ET.Element, where: str) -> np.ndarray:
     part = _part(camera, "transform", where)
-    pose = np.eye(4)
-    pose[:3, :3] = [[_value(part, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)]
-    pose = poses.OPENGL @ poses.rigid(pose, f"{where}: its transform")
+    turn = [[_value(part, f"r{i}{j}", where) for j in (1, 2, 3)] for i in (1, 2, 3)]
+    pose = poses.OPENGL @ poses.rigid(rotations.transform(turn), f"{where}: its transform")
     pose[:3, 3] = -pose[:3, :3] @ [_value(part, axis, where) * MILLIMETRES for axis in "xyz"]
     return pose
 

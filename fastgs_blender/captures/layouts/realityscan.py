@@ -17,6 +17,7 @@ from pathlib import Path
 import numpy as np
 
 from ...cameras import opencv, poses
+from ...util import rotations
 from ...util.errors import FastGSError
 from ...util.reading import read_text
 from ...util.xml_files import plain_xml
@@ -63,11 +64,9 @@ def _table(file: Path) -> list[opencv.Calibrated]:
         value = {key: poses.read(row.get(key) or "0", f"{where}: its {key}") for key in (*NEEDED[1:], "px", "py", *COEFFICIENTS)}
         angles = np.radians([-value["heading"], value["pitch"], value["roll"]])
         heading, pitch, roll = (opencv.from_rodrigues(angle * np.eye(3)[axis], where) for angle, axis in zip(angles, (2, 0, 1)))
-        to_world = np.eye(4)
-        to_world[:3, :3] = heading @ pitch @ roll
-        to_world[:3, 3] = poses.near(np.array([value["x"], value["y"], value["alt"]]), where)
+        place = poses.near(np.array([value["x"], value["y"], value["alt"]]), where)
         lens = _lens("brown4t2", [value[key] for key in COEFFICIENTS], value["f"], where)
-        pose = poses.from_opengl(to_world)
+        pose = poses.from_opengl(rotations.transform(heading @ pitch @ roll, place))
         found.append(_calibrated(Path(row["name"]).stem, value["f"], value["px"], value["py"], 1.0, lens, pose, where))
     return found
 
@@ -81,9 +80,8 @@ def _metadata(file: Path) -> opencv.Calibrated:
         text = described.get(f"{NAMESPACE}{key}") or described.findtext(f"{NAMESPACE}{key}") or default
         return [poses.read(word, f"{file}: its {key}") for word in text.split()]
 
-    pose = np.eye(4)
-    pose[:3, :3] = poses.numbers(numbers("Rotation"), (9,), f"{file}: its Rotation").reshape(3, 3)
-    pose[:3, 3] = -pose[:3, :3] @ poses.numbers(numbers("Position"), (3,), f"{file}: its Position")
+    turn = poses.numbers(numbers("Rotation"), (9,), f"{file}: its Rotation").reshape(3, 3)
+    pose = rotations.transform(turn, -turn @ poses.numbers(numbers("Position"), (3,), f"{file}: its Position"))
     if any(numbers("Skew")):
         raise FastGSError(f"{file}: its Skew is not 0, which is not known here; undistort the pictures.")
     (f, *_), (aspect, *_) = numbers("FocalLength35mm", "0"), numbers("AspectRatio", "1")

@@ -18,6 +18,7 @@ from ...cameras.lens import Lens
 from ...captures.capture import Capture, Shot
 from ...captures.pixels.store import FrameStore
 from ...captures.posing import with_cameras
+from ...util import rotations
 from ...util.documentation import page
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
@@ -116,9 +117,7 @@ def _upright(poses: Sequence[np.ndarray]) -> np.ndarray:
     if min(np.linalg.norm(down), np.linalg.norm(right)) < 1e-3:
         return np.eye(4)
     right /= np.linalg.norm(right)
-    turn = np.eye(4)
-    turn[:3, :3] = right, down, np.cross(right, down)
-    return turn
+    return rotations.transform((right, down, np.cross(right, down)))
 
 
 def keep(path: Path, capture: Capture, cameras: dict[str, Camera], lenses: dict[str, Lens]) -> None:
