@@ -5,7 +5,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-OVERSAMPLING = 2
+OVERSAMPLING = 3
 """Number of candidates for each point that is kept."""
 FOLDED = 64.0
 """A surface that is stretched by more than this at another time is folded up."""
@@ -44,7 +44,7 @@ def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: 
     points [V, 3], triangles [T, 3] indices; area [T]: what each triangle counts for, default its own area (give the
     largest area that it ever has, and a surface is dense enough when it is stretched).
 
-    Twice as many candidates are laid out in strata along a space-filling curve, low-discrepancy within each triangle;
+    Three times as many candidates are laid out in strata along a space-filling curve, low-discrepancy within each triangle;
     then those with the nearest neighbours are left out, many at a time (weighted sample elimination: Yuksel 2015, "Sample
     Elimination for Generating Poisson Disk Sample Sets").
     """
@@ -55,9 +55,9 @@ def sample_surface(points: np.ndarray, triangles: np.ndarray, count: int, area: 
     candidates, weights = _stratified(corners.mean(1), area, OVERSAMPLING * count)
     # Distances count in the metric in which `area` is the surface's area.
     stretch = np.sqrt(np.divide(area, true_area, out=np.full_like(area, np.inf), where=true_area > 0))[candidates]
-    # A triangle that is folded up now, and large at another time, has no distances: every other candidate stays.
-    folded = np.flatnonzero(stretch > FOLDED)
-    left = np.delete(np.arange(len(candidates)), folded[::2])
+    # A triangle that is folded up now, and large at another time, has no distances: its share of the candidates stays.
+    folded = stretch > FOLDED
+    left = np.flatnonzero(~folded | (np.cumsum(folded) % OVERSAMPLING == 0))
     candidates, weights, stretch = candidates[left], weights[left], stretch[left]
     position = np.einsum("nk,nkd->nd", weights, corners[candidates])
     keep = _eliminate(position, normals[candidates], stretch, count, float(area.sum()))
@@ -69,10 +69,11 @@ def _stratified(centres: np.ndarray, area: np.ndarray, count: int) -> tuple[np.n
     total = np.cumsum(area[order])
     strata = (np.arange(count) + 0.5) / count * total[-1]
     triangle = order[np.minimum(np.searchsorted(total, strata), len(order) - 1)]
-    # Roberts' R2 sequence: neighbours in the sequence share a triangle and fill it evenly.
-    i = np.arange(count)
-    u, v = np.sqrt((i + 0.5) * 0.7548776662466927 % 1), (i + 0.5) * 0.5698402909980532 % 1
-    return triangle, np.stack([1 - u, u * (1 - v), u * v], 1)
+    # Roberts' R2 sequence: neighbours in the sequence share a triangle and fill it evenly.  Their square is folded along its diagonal:
+    # a map that bends it, such as a square root, crowds the points into rows in parts of a large triangle.
+    i = np.arange(count)[:, None]
+    low, high = np.sort((i + 0.5) * (0.7548776662466927, 0.5698402909980532) % 1, axis=1).T
+    return triangle, np.stack([high - low, low, 1 - high], 1)
 
 
 def _morton(points: np.ndarray) -> np.ndarray:

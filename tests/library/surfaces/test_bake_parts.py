@@ -38,6 +38,20 @@ def test_even_whatever_the_mesh(cells):
     assert np.linalg.norm(probe[:, None] - at[None], axis=-1).min(1).max() < 1.4 * samples.spacing
 
 
+@pytest.mark.parametrize("sides", [(2, 1), (10, 1), (40, 1)])
+def test_large_triangles_have_no_rows_of_gaps(sides):
+    """A floor or a strip of two triangles is covered as evenly as a fine mesh."""
+    points, triangles = grid(1)
+    points = points * (*sides, 1)
+    samples = sample_surface(points, triangles, 20_000)
+    at = places(points, triangles, samples)
+    probe = np.column_stack([np.random.default_rng(1).random((4000, 2)) * 0.9 + 0.05, np.zeros(4000)]) * (*sides, 1)
+    i, j = near_pairs(probe, at, 2 * samples.spacing)
+    gap = np.full(len(probe), np.inf)
+    np.minimum.at(gap, i, np.linalg.norm(probe[i] - at[j], axis=1))
+    assert np.quantile(gap, 0.99) < 0.83 * samples.spacing
+
+
 def test_more_where_the_surface_is_stretched_later():
     points, triangles = grid(10)
     area = np.where(points[triangles].mean(1)[:, 0] < 0.5, 3.0, 1.0)
