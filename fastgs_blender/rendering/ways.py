@@ -31,7 +31,7 @@ REACH = 3.5
 BLUR = 0.025
 """Variance in pixels^2 by which splats are wider in a picture: just so much that hardly any falls between pixels at a tile's border."""
 FEW = 1024
-"""Points up to which one picture shows them all, and of more, about as many as tell where most of them lie."""
+"""Points up to which one picture shows them all, and of more, about as many as tell where a picture looks and where most of them lie."""
 APART = 4
 """How many times as wide a picture of all points has to be as one of the crowd, for each of the two to have one."""
 SEEN = 1.5
@@ -236,7 +236,8 @@ def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.
     size    pixels of the picture's longer side, or of a right angle where it is wider
     backend  a loaded backend (util/backends.py)
     """
-    forward = -place if parallel else points.mean(1) - place
+    some = points[:, ::max(points.shape[1] // FEW, 1)] - place[:, None]
+    forward = -place if parallel else (some / np.maximum(np.sqrt((some * some).sum(0)), 1e-30)).mean(1)  # places far away count no more
     forward = forward / max(np.linalg.norm(forward), 1e-30)
     right, down = across(forward)
     axes = np.stack([right, down, forward])

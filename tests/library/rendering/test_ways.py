@@ -159,16 +159,16 @@ def along_rays(model, start, points):
 
 
 def test_places_far_away_do_not_turn_the_picture_from_the_others():
-    """From a lamp at a wall: places in the room get what comes along their rays, and those of a few Gaussians of a backdrop's size, too."""
+    """From a lamp at a wall: places in the room get what comes along their rays, whatever a few Gaussians of a backdrop's size ask for."""
     rng = np.random.default_rng(11)
     n = 600
     model = fg.GaussianModel(position=rng.uniform([-2, -2, 2], [2, 2, 5], (n, 3)), rotation=rng.normal(size=(n, 4)),
                              opacity=rng.normal(0, 1, n), scale=rng.uniform(-4, -1.2, (n, 3)), features=np.zeros((n, 3)))
     points = rng.uniform([-2, -2, 3], [2, 2, 5], (500, 3))
-    places = points + 30 * rng.normal(size=(500, 3)) * (np.arange(500) % 50 == 0)[:, None]
+    places = points + rng.normal(size=(500, 3)) * np.where(np.arange(500) % 50, 0, 30.0 * 10 ** (np.arange(500) / 25))[:, None]
     ways = Ways(load_backend("cpu"), [Instance(model, np.eye(4), 0.0)], None)
     sides = ways.sides(LAMP, points.T, np.linalg.norm(places - points, axis=1))
-    error = ways.past(LAMP, 0, sides, places.T[:, None], 512)[1] - along_rays(model, np.zeros(3), places)
+    error = (ways.past(LAMP, 0, sides, places.T[:, None], 512)[1] - along_rays(model, np.zeros(3), places))[np.arange(500) % 50 > 0]
     assert np.sqrt((error**2).mean()) < 0.05
 
 
