@@ -128,12 +128,12 @@ class SceneLight:
         once = [lamp.light.parallel for lamp in self.lamps for _ in lamp.light.points] == [True]
         scene = Ways(backend, casting, self.meshes, once, self.moments)
         for number, lamp in enumerate(self.lamps):
-            ways, colour = scene.of_lamp(lamp.name, self.clear.get(lamp.name)), lamp.colour / len(lamp.colour)
+            colour = lamp.colour / len(lamp.colour)
             shares, lit = _shares(lamp, spots)
             asked = spots.part(lit)
-            sides = ways.sides(lamp.light, asked.position, asked.sizes())
+            sides = scene.of_lamp(lamp.name, self.clear.get(lamp.name)).sides(lamp.light, asked.position, asked.sizes())
             alike, full = np.zeros((4, len(lit)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
-            through = several(partial(self._through, ways, lamp, sides, asked, backend), [(k,) for k in range(len(colour))])
+            through = several(partial(self._through, lamp, sides, asked, backend), [(k,) for k in range(len(colour))])
             for k, (arrived, (meshes, splats)) in enumerate(zip(taken([shares], lit, -1)[0], through, strict=True)):
                 for sums, let in zip(alike, (1, meshes, meshes * splats, splats), strict=True):
                     sums += arrived * let
@@ -145,14 +145,14 @@ class SceneLight:
                 progress((number + (k + 1) / len(colour)) / len(self.lamps))
         return total
 
-    def _through(self, ways: Ways, lamp: Lamp, sides: Sides, spots: Spots, backend: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
+    def _through(self, lamp: Lamp, sides: Sides, spots: Spots, backend: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Which share of the light of a lamp's point of that number comes past the meshes, and past the splats to spots: [M] each."""
         part = np.abs(lamp.colour).sum(1)
         share = part[number] / max(part.sum(), 1e-30)
         size, each = max(int(self.size * min(share**0.25, 1)), 64), max(round(SPREAD * share), 1)
         thickness, places = backend.spread(spots.position, spots.axes, lamp.light.points[number], lamp.light.parallel,
                                            evenly(number * each + np.arange(each)))
-        return ways.past(lamp.light, number, sides, places, size, self.bias, self.bias + REACH * thickness)
+        return sides.past(number, places, size, self.bias, self.bias + REACH * thickness)
 
 
 def _shares(lamp: Lamp, spots: Spots) -> tuple[np.ndarray, np.ndarray]:

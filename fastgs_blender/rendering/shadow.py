@@ -104,11 +104,11 @@ class Shadow:
         if not seen.any() or not instances:
             return out
         points = camera.points(np.where(seen, depth, 1))[seen].T
-        ways, total = Ways(backend, instances, None).of_lamp(self.lamp), np.zeros(points.shape[1])
-        sides, count = ways.sides(self.light, points), len(self.light.points)
+        total = np.zeros(points.shape[1])
+        sides, count = Ways(backend, instances, None).of_lamp(self.lamp).sides(self.light, points), len(self.light.points)
 
         def let(number: int) -> np.ndarray:
-            return ways.past(self.light, number, sides, points[:, None], self.size, over_splats=self.bias)[1]
+            return sides.past(number, points[:, None], self.size, over_splats=self.bias)[1]
 
         for done, share in enumerate(several(let, [(number,) for number in range(count)]), 1):
             total += share

@@ -350,7 +350,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     for lamp, level in zip(light.lamps, light.levels, strict=True):
         bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
         sides = ways.sides(lamp.light, middle, 0.0 if lamp.light.parallel else 3**0.5 * float(np.abs(places - middle[:, None]).max()))
-        told = partial(_told, lamp, ways, sides, middle, normal, places, light)
+        told = partial(_told, lamp, sides, middle, normal, places, light)
         for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
             for row, value in zip(total[:, level], (share, share * open_, share**2), strict=True):
                 row += value
@@ -358,7 +358,7 @@ def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backen
     return (left / np.maximum(free, 1e-30)).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
 
 
-def _told(lamp: Lamp, ways: Ways, sides: Sides, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
+def _told(lamp: Lamp, sides: Sides, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
           bright: float, part: float) -> tuple[np.ndarray, np.ndarray]:
     """How much light the lamp's point of that number, of that brightness and part of all, sends to pixels [R], and which share of that
     comes past the meshes."""
@@ -366,5 +366,5 @@ def _told(lamp: Lamp, ways: Ways, sides: Sides, middle: np.ndarray, normal: np.n
     own, open_ = places[:, (number * each + np.arange(each)) % PLACES], np.ones(len(share), np.float32)
     some = share != 0
     lit = np.flatnonzero(some) if 2 * np.count_nonzero(some) < len(share) else slice(None)  # copies cost as much as asking for a few
-    open_[lit] = ways.past(lamp.light, number, sides, own[:, :, lit], light.size, light.bias)[0]
+    open_[lit] = sides.past(number, own[:, :, lit], light.size, light.bias)[0]
     return share, open_

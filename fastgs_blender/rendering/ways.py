@@ -49,7 +49,7 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """The pictures from each point of a lamp that show all points well: one, or those through the sides of a cube.
+    """The pictures from each point of a lamp (shadow.Light) that show all points well: one, or those through the sides of a cube.
 
     whole   what the one shows; None: there is a cube
     centre  of the cube [3]
@@ -59,13 +59,54 @@ class Sides:
     """
 
     ways: Ways
+    light: Any
     whole: Side | None
     centre: np.ndarray
     radius: float
     deep: float
     found: dict[int, Side] = field(default_factory=dict)
 
-    def split(self, points: np.ndarray) -> Iterator[tuple[Side, np.ndarray, np.ndarray]]:
+    def past(self, number: int, places: np.ndarray, size: int, over_meshes: float = 0.0,
+             over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
+        """Which share of the light of the lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
+
+        places  [3, S, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
+                of the first
+        size   pixels of the longer side of the picture, or of a right angle of it
+        over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
+        """
+        (_, several, count), backend = places.shape, self.ways.backend
+        meshes, splats = np.ones(several * count, np.float32), np.ones(count, np.float32)
+        over = np.broadcast_to(np.float64(over_splats), count)
+        for side, there, among in self._split(places.reshape(3, -1)):
+            for eye, points, rows in self._views(number, there, among, size):
+                if side.moments and len(side.moments[0]):
+                    last = len(side.moments) - 1
+                    at = 0.0 if self.light.times is None else self.light.times[number] * last
+                    triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
+                    found = backend.past_triangles(triangles, eye, points, np.full(len(rows), float(over_meshes)))
+                    meshes[rows] = backend.numpy(found)
+                viewed, first = [each.viewed(eye) for each in side.instances], np.searchsorted(rows, count)  # those of first places
+                if viewed and first:
+                    found = backend.past_splats(viewed, eye, points[:, :first], over[rows[:first]])
+                    splats[rows[:first]] = backend.numpy(found)
+        return meshes.reshape(several, count).mean(0), splats
+
+    def _views(self, number: int, points: np.ndarray, rows: np.ndarray,
+               size: int) -> Iterator[tuple[Camera, np.ndarray, np.ndarray]]:
+        """Pictures that show points [3, Q] well, of those rows [Q] among more: (camera, the points that it shows, their rows) of each."""
+        ways, light = self.ways, self.light
+        eye = view_from(light.parallel, light.points[number], points, ways.around, size, ways.backend) if len(rows) else None
+        if eye is None:
+            return
+        crowd = _crowd(eye, points)
+        if crowd is None:
+            yield eye, points, rows
+            return
+        for some in (crowd, ~crowd):
+            yield from self._views(number, points[:, some], rows[some], size)
+
+    def _split(self, points: np.ndarray) -> Iterator[tuple[Side, np.ndarray, np.ndarray]]:
         """Points [3, P] by the side that shows them: the side, its points, and which they are."""
         if self.whole is not None:
             yield self.whole, points, np.arange(points.shape[1])
@@ -128,54 +169,14 @@ class Ways:
         """The pictures from a lamp (shadow.Light) for points [3, P], or for places so far beside them, at most: [P] or a number."""
         centre, everything = light.points.mean(0), Side(self.instances, self.moments)
         if light.parallel or not points.size:
-            return Sides(self, everything, centre, 0.0, 0.0)
+            return Sides(self, light, everything, centre, 0.0, 0.0)
         radius, towards = float(np.linalg.norm(light.points - centre, axis=1).max()), points - centre[:, None]
         (x, y, z), middle = towards, _bounds(towards).mean(0)
         one = (product(middle, towards) >= NARROW * np.sqrt((x * x + y * y + z * z) * (middle @ middle))).all()
-        return Sides(self, everything if one else None, centre, radius, float((np.abs(towards).max(0) + beside).max()))
-
-    def past(self, light: Any, number: int, sides: Sides, places: np.ndarray, size: int, over_meshes: float = 0.0,
-             over_splats: np.ndarray | float = 0.0) -> tuple[np.ndarray, np.ndarray]:
-        """Which share of the light of a lamp's point `number` comes past the meshes, and past the splats, to points: [P] each.
-
-        sides   of the lamp for these points
-        places  [3, S, P] each point as several places, over which the shadows of meshes are averaged; splats', which are soft, are those
-                of the first
-        size   pixels of the longer side of the picture, or of a right angle of it
-        over_meshes, over_splats  how near to a point these throw no shadow on it, in units of the world: a number, of splats also [P]
-        """
-        _, several, count = places.shape
-        meshes, splats = np.ones(several * count, np.float32), np.ones(count, np.float32)
-        over = np.broadcast_to(np.float64(over_splats), count)
-        for side, there, among in sides.split(places.reshape(3, -1)):
-            for eye, points, rows in self._views(light, number, there, among, size):
-                if side.moments and len(side.moments[0]):
-                    last = len(side.moments) - 1
-                    at = 0.0 if light.times is None else light.times[number] * last
-                    triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
-                    meshes[rows] = self.backend.numpy(self.backend.past_triangles(triangles, eye, points,
-                                                                                  np.full(len(rows), float(over_meshes))))
-                viewed, first = [each.viewed(eye) for each in side.instances], np.searchsorted(rows, count)  # those of first places
-                if viewed and first:
-                    found = self.backend.past_splats(viewed, eye, points[:, :first], over[rows[:first]])
-                    splats[rows[:first]] = self.backend.numpy(found)
-        return meshes.reshape(several, count).mean(0), splats
-
-    def _views(self, light: Any, number: int, points: np.ndarray, rows: np.ndarray,
-               size: int) -> Iterator[tuple[Camera, np.ndarray, np.ndarray]]:
-        """Pictures that show points [3, Q] well, of those rows [Q] among more: (camera, the points that it shows, their rows) of each."""
-        eye = view_from(light.parallel, light.points[number], points, self._around, size, self.backend) if len(rows) else None
-        if eye is None:
-            return
-        crowd = _crowd(eye, points)
-        if crowd is None:
-            yield eye, points, rows
-            return
-        for some in (crowd, ~crowd):
-            yield from self._views(light, number, points[:, some], rows[some], size)
+        return Sides(self, light, everything if one else None, centre, radius, float((np.abs(towards).max(0) + beside).max()))
 
     @cached_property
-    def _around(self) -> np.ndarray:
+    def around(self) -> np.ndarray:
         """Points [Q, 3] around all that may throw shadows."""
         boxes = [_bounds(each.reshape(-1, 3).T)[_CHOICES, np.arange(3)] for each in self.moments if len(each)]
         return np.concatenate([_corners(self.instances), *boxes])

@@ -31,7 +31,7 @@ def past(models, points, light, meshes=None, backend="cpu", size=256, **over):
     points, found = np.asarray(points, np.float64), np.zeros((2, len(points)))
     sides = ways.sides(light, points.T)
     for k in range(len(light.points)):
-        found += np.array(ways.past(light, k, sides, points.T[:, None], size, **over)) / len(light.points)
+        found += np.array(sides.past(k, points.T[:, None], size, **over)) / len(light.points)
     return found
 
 
@@ -95,7 +95,7 @@ def test_a_side_of_the_cube_has_all_that_throws_shadows_there(radius):
     places = points[:, None] + rng.normal(size=(3, 2, 400)) * np.where(np.arange(400) % 40, 0.05, 2.0)  # some of them far from the point
     sides = ways.sides(light, points, np.linalg.norm(places - points[:, None], axis=0).max(0))
     for k in range(4):
-        mine, whole = (ways.past(light, k, each, places, 256) for each in (sides, replace(sides, found=dict.fromkeys(range(6), Side(
+        mine, whole = (each.past(k, places, 256) for each in (sides, replace(sides, found=dict.fromkeys(range(6), Side(
             ways.instances, ways.moments)))))
         assert np.array_equal(mine[0], whole[0])
         assert np.abs(mine[1] - whole[1]).max() < 1e-3
@@ -168,7 +168,7 @@ def test_places_far_away_do_not_turn_the_picture_from_the_others():
     places = points + rng.normal(size=(500, 3)) * np.where(np.arange(500) % 50, 0, 30.0 * 10 ** (np.arange(500) / 25))[:, None]
     ways = Ways(load_backend("cpu"), [Instance(model, np.eye(4), 0.0)], None)
     sides = ways.sides(LAMP, points.T, np.linalg.norm(places - points, axis=1))
-    error = (ways.past(LAMP, 0, sides, places.T[:, None], 512)[1] - along_rays(model, np.zeros(3), places))[np.arange(500) % 50 > 0]
+    error = (sides.past(0, places.T[:, None], 512)[1] - along_rays(model, np.zeros(3), places))[np.arange(500) % 50 > 0]
     assert np.sqrt((error**2).mean()) < 0.05
 
 
