@@ -117,7 +117,8 @@ def choose(views: list[View], name: str, path: str | Path) -> View:
     if name.isdecimal() and int(name) < len(views):
         return views[int(name)]
     known = ", ".join(view.name for view in views[:8]) + (", ..." if len(views) > 8 else "")
-    raise FastGSError(f"{path}: there is no view {name!r}; there are the numbers 0 to {len(views) - 1} and the names {known}.")
+    numbers = f"are the numbers 0 to {len(views) - 1} and the names" if len(views) > 1 else "is the number 0, named"
+    raise FastGSError(f"{path}: there is no view {name!r}; there {numbers} {known}.")
 
 
 def resized(camera: Camera, width: int, height: int) -> Camera:

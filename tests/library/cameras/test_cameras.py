@@ -57,6 +57,8 @@ def test_views_are_chosen_by_name_then_number(write):
     views = load_cameras(write([entry(img_name="a"), entry(img_name="0"), entry(img_name="c")]))
     assert choose(views, "c", "f").name == "c"
     assert choose(views, "2", "f").name == "c"
+    with pytest.raises(fg.FastGSError, match="number 0, named a"):
+        choose(views[:1], "2", "f")
     assert choose(views, "0", "f").name == "0"
     for absent in ("3", "-1", "", "b", "²"):
         with pytest.raises(fg.FastGSError, match="no view"):
