@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from blenders import User
 from browser import launched
-from knot_pages import opened, packed_knot, page  # noqa: F401 - fixtures
+from knot_pages import opened, page  # noqa: F401 - fixtures
 from PIL import Image
 
 import fastgs_blender as fg

@@ -27,19 +27,14 @@ def page_text(page, files):
     return text.getvalue()
 
 
-@pytest.fixture(scope="session")
-def packed_knot(tmp_path_factory):
-    """A small knot, and its compressed file."""
-    model, file = models.knot(600), tmp_path_factory.mktemp("knot") / "knot.safetensors"
+@pytest.fixture(scope="module")
+def page(browser):
+    """page(name, **what differs): writes a page of a small knot into the browser's folder, and returns its text."""
+    model = models.knot(600)
+    file = browser.folder / "knot.safetensors"
     writer = Native(Loss(LEVELS["fine"]))
     writer.write(writer.fit(model)[0], [file])
-    return model, file.read_bytes()
-
-
-@pytest.fixture(scope="module")
-def page(browser, packed_knot):
-    """page(name, **what differs): writes a page of a small knot into the browser's folder, and returns its text."""
-    model, data = packed_knot
+    data = file.read_bytes()
     cameras = [fg.Camera(*SIZE, 300, 300, 240, 135, looking(angle)) for angle in np.linspace(0, 0.5, 40)]
     picture = io.BytesIO()
     Image.new("RGB", SIZE, (250, 40, 160)).save(picture, "PNG")

@@ -72,15 +72,15 @@ def test_a_saved_file_knows_its_model(rendered, user, model):
     assert list(facts["objects"].values()) == [[rendered["path"], len(model[0]), rendered["start"]]]
 
 
-def test_without_numba_the_picture_is_the_same(newcomer, small_model, reference):
+def test_without_numba_the_picture_is_the_same(newcomer, model, reference):
     """A platform without numba, installed from a repository: NumPy renders, slowly, and the log says so."""
     plain = User(newcomer.root, newcomer.folder, "home-plain")
     plain.install_from(Path(os.environ["FASTGS_REPOSITORY_WITHOUT_NUMBA"]))
     facts = plain.story("background.environment")
     assert facts["enabled"]
     assert facts["places"]["numba"] is None
-    facts = plain.story("background.picture", model=small_model[1], output="plain.png", width=80, height=60, frame=11)
+    facts = plain.story("background.picture", model=model[1], output="plain.png", width=80, height=60, frame=11)
     log = max(newcomer.folder.glob("log-*-blender.txt")).read_text()
     assert "numba" in log
-    ours, wanted = read_png(newcomer.folder / "plain.png"), reference(small_model[0], facts["camera"], 11 - facts["start"])
+    ours, wanted = read_png(newcomer.folder / "plain.png"), reference(model[0], facts["camera"], 11 - facts["start"])
     assert np.abs(ours - wanted).max() <= 2 / 255

@@ -9,7 +9,7 @@
 
 A seed is a folder: {relative path: content}; one file of it is changed at a time.  Mutation number n of a seed is always the same, so
 a failure is replayed with what its message says: FASTGS_MUTATION="reader/seed/n" runs that one alone, in the test's own process.
-FASTGS_MUTATIONS=10000 sets the number a reader (150 unless told).
+FASTGS_MUTATIONS=10000 sets the number a reader (300 unless told).
 """
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from damage import mutated
 import fastgs_blender as fg
 from fastgs_blender.util.errors import FastGSError, LossWarning, printable
 
-COUNT = 150
+COUNT = 300
 MEMORY = 1 << 30
 """Bytes of address space a reader may take beyond what the process had; the seeds are small."""
 CPU = 60
