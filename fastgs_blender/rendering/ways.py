@@ -49,8 +49,10 @@ class Side:
 
 @dataclass(frozen=True, eq=False)
 class Sides:
-    """The pictures from each point of a lamp (shadow.Light) that show all points well: one, or those through the sides of a cube.
+    """The pictures from each point of a lamp that show all points well: one, or those through the sides of a cube.
 
+    ways    the scene that the light crosses
+    light   the lamp's points (shadow.Light)
     whole   what the one shows; None: there is a cube
     centre  of the cube [3]
     radius  how far from it the lamp's points lie

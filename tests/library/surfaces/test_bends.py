@@ -39,7 +39,7 @@ def test_vectors_change_at_the_outline_and_not_beside_it():
         x = (np.arange(64) + 0.5 - camera.cx) / SCALE - SPEED
         truth = np.where(np.abs(x) < 0.5, SPEED, -SPEED) * SCALE
         off.append(np.abs(-found["vector"][..., 2] - truth)[solid].mean())
-    assert np.mean(off) < 0.06  # 0.11 if they lie flat on their triangles
+    assert np.mean(off) < 0.055  # 0.0501; 0.11 if they lie flat on their triangles
 
 
 def test_gaussians_are_planes_through_the_surface_that_they_cover():
