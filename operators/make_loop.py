@@ -39,14 +39,23 @@ class FASTGS_OT_make_loop(Stepwise, bpy.types.Operator):
 
     def finish(self, context, result):
         obj, found = result
+        told = ""
         if not self.propose:
             try:
-                stitching.loop(obj, found)
+                same, left = stitching.playing(obj, context.scene)
+                for each in (obj, *same):
+                    stitching.loop(each, found)
             except ReferenceError:
                 raise FastGSError("the splat object was deleted meanwhile.") from None
+            told = _named(". The same loop: ", same) + _named(". Left, because they are timed in another way: ", left)
         if found.uncut:
             return (f"the whole clip loops best; no cut is better: from its last frame to its first the picture changes {found.cut:.1f} "
-                    "times as much as from frame to frame")
+                    "times as much as from frame to frame" + told)
         return (f"frames {found.start:g} to {found.start + found.length:g} loop, {found.length:g} frames. At the seam the picture changes "
                 f"{found.cut:.1f} times as much as from frame to frame, with the fade {found.blended:.1f} times; the whole clip's seam "
-                f"{found.whole:.1f} times")
+                f"{found.whole:.1f} times" + told)
+
+
+def _named(begin: str, many: list) -> str:
+    """A sentence that ends with the names of objects; "" where there are none."""
+    return begin + ", ".join(f'"{each.name}"' for each in many) if many else ""

@@ -9,7 +9,7 @@ from mathutils import Matrix
 from ..fastgs_blender.rendering.instances import Instance
 from ..fastgs_blender.stitching.loops import Loop
 from ..fastgs_blender.util.errors import FastGSError
-from . import model_space, objects, snapshot
+from . import model_space, objects, parts, snapshot
 from .cameras import keys, worlds
 
 PLACES = ("location", "rotation_euler", "rotation_quaternion", "rotation_axis_angle", "scale", "delta_location", "delta_rotation_euler",
@@ -140,6 +140,26 @@ def loop(obj, found: Loop) -> None:
     obj.update_tag()
 
 
+def playing(obj, scene) -> tuple[list, list]:
+    """The other objects of a scene that show the same file: those that play it as this one does and can be looped, and all others."""
+    path, now = objects.abspath(obj), snapshot.clock(scene)[0]
+    same, left = [], []
+    for other in scene.objects:
+        if other == obj or not objects.is_splat(other) or objects.abspath(other) != path:
+            continue
+        alike = other.is_editable and snapshot.retime_of(other, now) == snapshot.retime_of(obj, now)
+        try:
+            check_loop(other)
+        except FastGSError:
+            alike = False
+        (same if alike else left).append(other)
+    return same, left
+
+
 def looped(obj, depsgraph):
-    """What find_loop() looks at of an object: what it shows of its file, and the settings with which it does.  Raises FastGSError."""
-    return objects.source_of(obj), replace(snapshot.settings_of(obj.evaluated_get(depsgraph), depsgraph, True), opacity=1.0)
+    """What find_loop() looks at of an object: what it and those that play alike show of the file, and its settings.  Raises FastGSError."""
+    settings = replace(snapshot.settings_of(obj.evaluated_get(depsgraph), depsgraph, True), opacity=1.0)
+    every = [obj, *(other for other in playing(obj, depsgraph.scene)[0] if not other.hide_render)]
+    own = "" if any(not each.fastgs.part for each in every) else parts.union(*(each.fastgs.part for each in every))
+    erased = parts.union(*(each.fastgs.mask for each in every))
+    return parts.part_of(objects.load_model(objects.abspath(obj)), own), replace(settings, mask=parts.within(own, erased))

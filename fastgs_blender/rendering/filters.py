@@ -22,6 +22,8 @@ TIMES = 17
 """Moments of the clip at which speeds and lifetimes are looked at."""
 CELL = 0.02
 """Edge of the cells in which neighbours are counted, by the size of the model without its outer tenth."""
+NOTHING = 0.1
+"""Share of a large value up to which smaller ones hardly differ, where values are parted."""
 
 
 @dataclass(frozen=True)
@@ -158,21 +160,28 @@ def values(model: GaussianModel, kind: str, colour: Sequence[float] = (0.0, 0.0,
     return found
 
 
-def parting(value: np.ndarray) -> float:
-    """The number that parts values [N] >= 0 into small and large ones best (Otsu 1979); the largest hundredth counts as one."""
-    value = value[np.isfinite(value)]
+def parting(value: np.ndarray, weight: np.ndarray | None = None) -> float:
+    """The number that parts values [N] >= 0 into small and large ones best (Otsu 1979, of their logarithms).
+
+    weight  [N], how much each counts; None: all count the same
+
+    The largest hundredth counts as one, and what is far less than a tenth of that as nothing.  So slow things are large beside still ones.
+    """
+    known = np.isfinite(value)
+    value, weight = value[known].astype(np.float64), None if weight is None else weight[known]
     if not len(value) or not value.max() > 0:
         return 1.0
     top = np.percentile(value, 99) or value.max()
-    count, edges = np.histogram(np.minimum(value, top), 256, (0, top))
+    least = NOTHING * top
+    count, edges = np.histogram(np.log1p(np.minimum(value, top) / least), 256, (0, np.log1p(1 / NOTHING)), weights=weight)
     middle = 0.5 * (edges[1:] + edges[:-1])
     below = np.cumsum(count)[:-1]
-    above, total = len(value) - below, np.cumsum(count * middle)[:-1]
+    above, total = count.sum() - below, np.cumsum(count * middle)[:-1]
     with np.errstate(all="ignore"):
         gap = total / below - (count @ middle - total) / above
         spread = np.nan_to_num(below * above * gap * gap)
     best = np.flatnonzero(spread >= spread.max() * (1 - 1e-9))  # a gap between the two is parted in its middle
-    return float(0.5 * (edges[best[0] + 1] + edges[best[-1] + 1]))
+    return float(least * np.expm1(0.5 * (edges[best[0] + 1] + edges[best[-1] + 1])))
 
 
 def hidden(model: GaussianModel, filters: Sequence[Any], mask: str = "", density: float = 1.0) -> np.ndarray:

@@ -10,9 +10,14 @@ from ..model.gaussians import GaussianModel
 from ..model.sequence import Source
 from ..rendering.filters import Filter, parting, values
 from ..util.errors import FastGSError
+from .grow import grow
 
 MOST = 1e6
 """The upper end of a range that has none."""
+SURE = 0.25
+"""What is slower than this share of the speed from which on a Gaussian moves, stands still."""
+GROWN = ("MOVING", "STATIC")
+"""The kinds that are selected by whole things, which takes seconds."""
 
 
 class Kind(NamedTuple):
@@ -30,11 +35,19 @@ def _large(source: Source) -> Filter:
 
 
 def _moving(source: Source) -> Filter:
-    return Filter("SPEED", parting(values(_of_values(source), "SPEED")), MOST, keep=True)
+    return Filter("SPEED", _fast(_of_values(source)), MOST, keep=True)
 
 
 def _still(source: Source) -> Filter:
-    return Filter("SPEED", 0.0, parting(values(_of_values(source), "SPEED")), keep=True)
+    return Filter("SPEED", 0.0, _fast(_of_values(source)), keep=True)
+
+
+def _fast(model: GaussianModel) -> float:
+    """The speed that parts what moves from what is still, by how large and how long each Gaussian is seen: specks of a trained model are
+    the fastest of all."""
+    size = values(model, "SIZE")
+    seen = np.sqrt(values(model, "OPACITY") * values(model, "LIFETIME"))
+    return parting(values(model, "SPEED"), seen * np.minimum(size, np.percentile(size, 99)) if len(model) else None)
 
 
 def _short(source: Source) -> Filter:
@@ -67,8 +80,18 @@ KINDS: dict[str, Kind] = {
 
 
 def chosen(model: GaussianModel, kind: str, colour: tuple[float, float, float] | None = None) -> np.ndarray:
-    """Which Gaussians of a model are of a kind of KINDS: [N] bool.  colour: sRGB, of "COLOUR".  Raises FastGSError."""
+    """Which Gaussians of a model are of a kind of KINDS: [N] bool.  colour: sRGB, of "COLOUR".  Raises FastGSError.
+
+    What moves is grown to whole things (grow.py): a ball that rolls and stops is of Gaussians that show it rolling and others that show it
+    lying, and these do not move.
+    """
     if kind not in KINDS:
         raise FastGSError(f"the kind {kind!r} of Gaussians is unknown; there are {', '.join(KINDS)}.")
+    if kind in GROWN:
+        speed, fast = values(model, "SPEED"), _fast(model)
+        moves = speed >= fast
+        if moves.any():
+            moves = grow(model, moves, speed < SURE * fast)
+        return moves if kind == "MOVING" else ~moves
     found = KINDS[kind].filter(model)
     return (found if colour is None else replace(found, colour=colour)).holds(model)

@@ -2,6 +2,8 @@
 """Two captures in one scene: aligned by pairs and by their surfaces, graded, faded; loops of a clip.  Each is one step of undo."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import bpy
 import numpy as np
 import pytest
@@ -163,6 +165,35 @@ def test_a_clip_that_loops_by_itself_is_left_whole(fg, model_file):
     assert bpy.ops.fastgs.make_loop(fade=4) == {'FINISHED'}
     settings = bpy.context.object.fastgs
     assert (settings.trim_start, settings.trim_end, settings.fade, settings.after) == (0, 0, 0, 'LOOP')
+
+
+def test_parts_of_a_capture_loop_together(fg, model_file, module):
+    """A part that plays as the other does; one whose start is another, and one whose trim is keyed, are left and named."""
+    bpy.ops.import_scene.fastgs(filepath=model_file(swinging(fg, 20)))
+    obj, selection, made = bpy.context.object, module("scene.selection"), []
+    for k, name in enumerate(("Same", "Later", "Keyed")):
+        selection.select(obj, np.arange(120) % 4 == k)
+        bpy.ops.fastgs.separate(name=name)
+        made.append(bpy.context.object)
+        bpy.context.view_layer.objects.active = obj
+    made[1].fastgs.start_frame = 7
+    made[2].keyframe_insert("fastgs.trim_end", frame=1)
+    assert bpy.ops.fastgs.make_loop(least=12, fade=4) == {'FINISHED'}
+    times = [(each.fastgs.trim_start, each.fastgs.trim_end, each.fastgs.fade, each.fastgs.after) for each in (obj, *made)]
+    assert times[0] == times[1] and times[0][2:] == (4, 'LOOP')
+    assert times[2][3] == times[3][3] == 'HOLD'
+
+
+def test_what_all_parts_show_is_looped(fg, model_file, module):
+    """A part that stands still is active; the seam is looked for by what moves in the other."""
+    model = swinging(fg, 20)
+    bpy.ops.import_scene.fastgs(filepath=model_file(replace(model, motion=model.motion * (np.arange(120) % 2)[:, None, None])))
+    obj = bpy.context.object
+    module("scene.selection").select(obj, np.arange(120) % 2 == 0)
+    bpy.ops.fastgs.separate(name="Still")
+    assert bpy.ops.fastgs.make_loop(least=12, fade=4) == {'FINISHED'}
+    length = 60 - obj.fastgs.trim_start - obj.fastgs.trim_end - obj.fastgs.fade
+    assert length == pytest.approx(20, abs=0.2) and bpy.context.object.name == "Still"
 
 
 def test_a_still_and_animated_trims_have_no_loop(fg, model_file):

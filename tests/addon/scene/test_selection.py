@@ -89,6 +89,7 @@ def test_strokes_and_kinds_select(row, module, stroke, fg):
     assert bits() == sorted(set(range(10)) - set(erased)) and not bits("wanted") and not bits("refused")
     bpy.ops.fastgs.select_kind(kind='NONE')
     assert not row.fastgs.selection and not bpy.ops.fastgs.separate.poll() and not bpy.ops.fastgs.erase.poll()
+    assert bpy.ops.fastgs.select_kind(kind='MOVING') == {'FINISHED'} and not bits(), "nothing moves"
     selection.select(row, some(9))
     bpy.ops.fastgs.select_kind(kind='INVERSE')
     assert bits() == sorted(set(range(9)) - set(erased))

@@ -1,0 +1,64 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""Kinds of Gaussians: what moves at any time of a clip is chosen for all of it."""
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import touching_scenes as scenes
+from moving_meshes import grid, sphere
+from random_models import random_model
+
+import fastgs_blender as fg
+from fastgs_blender.rendering.filters import parting
+from fastgs_blender.selecting.kinds import KINDS, chosen
+
+pytestmark = pytest.mark.filterwarnings("ignore:the motion")
+
+
+def rolls_and_stops(count=2000):
+    """A ball rolls over a floor, slows down and lies still; half of its Gaussians show it rolling, the others lying, as training makes
+    them."""
+    t = np.linspace(0, 1, scenes.FRAMES)
+    way = 0.8 * (1 - (1 - np.minimum(t / 0.6, 1)) ** 2)
+    points, triangles = sphere(16)
+    ball = scenes.turning(points * 0.2, way / 0.2, 1) + np.stack([-0.6 + way, 0 * t, 0.2 + 0 * t], 1)[:, None]
+    things = {"floor": scenes.Thing(*scenes.floor(), (0.5, 0.35, 0.2)), "ball": scenes.Thing(ball, triangles, (0.6, 0.3, 0.25))}
+    scene = scenes.baked(things, ("ball",), count)
+    seen = np.tile([-1, 2, -4.0, -4.0], (count, 1))
+    seen[np.flatnonzero(scene.truth)[::2]] = -1, 0.6, -4, -3.5
+    seen[np.flatnonzero(scene.truth)[1::2]] = 0.55, 2, -3.5, -4
+    return replace(scene.model, temporal_kind=fg.Window(), temporal=seen), scene.truth
+
+
+def test_a_ball_that_stops_is_chosen_whole():
+    model, ball = rolls_and_stops()
+    moving = chosen(model, "MOVING")
+    assert (moving & ball).sum() >= 0.9 * (moving | ball).sum()
+    assert (chosen(model, "STATIC") == ~moving).all()
+
+
+def test_slow_things_move_beside_fast_ones():
+    """A box at a quarter of a ball's speed, on a floor."""
+    t = np.linspace(0, 1, scenes.FRAMES)
+    points, triangles = sphere(12)
+    corners, faces = scenes.box((-0.8, 0.3, 0), (-0.4, 0.7, 0.4))
+    scene = scenes.baked({
+        "floor": scenes.Thing(scenes.still((grid(12)[0] - 0.5) * [4, 4, 0]), grid(12)[1], (0.5, 0.35, 0.2)),
+        "ball": scenes.Thing(scenes.moved(points * 0.2, np.stack([-1 + 2 * t, 0 * t, 0.2 + 0 * t], 1)), triangles, (0.6, 0.3, 0.25)),
+        "box": scenes.Thing(scenes.moved(corners, np.stack([0.5 * t, 0 * t, 0 * t], 1)), faces, (0.2, 0.3, 0.6))}, ("ball", "box"), 3000)
+    assert np.mean(chosen(scene.model, "MOVING") == scene.truth) > 0.99
+    assert np.mean(KINDS["MOVING"].filter(scene.model).holds(scene.model) == scene.truth) > 0.99
+
+
+def test_few_fast_specks_do_not_raise_the_speed():
+    """Seven of a hundred numbers are large and hardly seen; what is seen parts 0 from 1."""
+    value = np.concatenate([np.zeros(63), np.ones(30), np.linspace(5, 20, 7)])
+    assert 0 < parting(value, np.where(value > 1, 0.01, 1.0)) < 1 < parting(value)
+
+
+@pytest.mark.parametrize("count", [0, 1, 5])
+def test_where_nothing_moves_nothing_is_chosen(count):
+    model = random_model(np.random.default_rng(0), count)
+    assert not chosen(model, "MOVING").any() and chosen(model, "STATIC").all()
