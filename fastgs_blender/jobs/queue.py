@@ -321,7 +321,8 @@ def _preparing(values: dict) -> str:
     """What a run does before its first step, and how far it is."""
     if "stage" not in values:
         return "Preparing the pictures"
-    return f"{values['stage'].capitalize()}, {values.get('stage_share', 0.0):.0%}"
+    share = values.get("stage_share")
+    return values["stage"].capitalize() + ("" if share is None else f", {share:.0%}")
 
 
 def _refuse_another_run(out: str | Path, existing: str) -> None:

@@ -95,7 +95,8 @@ class Reporter:
     def stage(self, what: str, unit: str = "moment") -> Iterator[Callable[[int, int], None]]:
         """Something long before the first step: gives report(done, of), which is called as it goes on.
 
-        It has a bar of its own, and is in status.json as `stage` and `stage_share`.
+        It has a bar of its own, and is in status.json as `stage` and `stage_share`.  What follows it, such as compiling for a minute, is
+        "starting" there.
         """
         with progress(1, unit, what, quiet=self.quiet, clock=self.clock) as bar:
 
@@ -105,6 +106,7 @@ class Reporter:
                     self.status("preparing", stage=what, stage_share=round(done / max(of, 1), 3))
 
             yield report
+        self.status("preparing", stage="starting")
 
     def step(self, values: dict) -> None:
         """values of one step: iteration, loss, psnr, gaussians and whatever else there is to plot."""

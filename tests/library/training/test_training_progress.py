@@ -88,7 +88,8 @@ def test_what_comes_before_the_first_step_shows_how_far_it_is(tmp_path, clock, c
         found = read_status(tmp_path / progress.STATUS)
         assert _preparing(found) == "Finding starting points, 88%" and found["state"] == "preparing"
         report(8, 8)
-    assert written == [0, 0.25, 0.5, 0.625, 0.75, 0.875, 1]
+    assert written == [0, 0.25, 0.5, 0.625, 0.75, 0.875, 1, None]
+    assert _preparing(read_status(tmp_path / progress.STATUS)) == "Starting", "and not that all of it is done, while kernels compile"
     said = capsys.readouterr().err.splitlines()
     assert said[0].startswith("finding starting points: 6/8 moments (75 %)") and said[-1].startswith("finding starting points: 8/8 moments")
     reporter.step({"iteration": 1, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
