@@ -16,9 +16,8 @@ set -euo pipefail
 suite=${1:?suite, --possible or --tools}
 roots=${FASTGS_BLENDER_ROOTS:-${XDG_CACHE_HOME:-$HOME/.cache}/fastgs-blender/roots}
 # Debian's blender names only what it links; its add-ons import the Python modules.
-# imagemagick has no user any more: it goes with the next change of this list, for every change makes all roots anew.
 packages=(
-    blender xvfb x11-utils openbox imagemagick libgl1-mesa-dri libglx-mesa0 libegl1
+    blender xvfb x11-utils openbox libgl1-mesa-dri libglx-mesa0 libegl1
     mesa-vulkan-drivers python3-numpy python3-requests python3-zstandard python3-cattr python3-fastjsonschema fonts-dejavu-core procps
 )
 release=$suite program=blender
@@ -26,7 +25,7 @@ case $suite in
     trixie) packages+=(chromium firefox-esr) ;;  # open web pages
     wine) release=trixie program=wine packages=(wine wine64 xvfb xauth libgl1-mesa-dri mesa-vulkan-drivers libvulkan1) ;;  # with fewer it hangs
 esac
-recipe=1  # to be raised when something below changes what is in a root
+recipe=2  # to be raised when something below changes what is in a root
 digest=$(echo "$recipe $suite ${packages[*]}" | sha256sum | cut -c1-12)
 root=$roots/$suite-$digest
 archive=$root.tar.zst
@@ -96,6 +95,8 @@ build() {
     done
     { inside apt-get update -qq && inside apt-get install -y -qq --no-install-recommends "${packages[@]}" && inside apt-get clean; } \
         >>"$log" 2>&1 || failed "its packages could not be installed (see $log)"
+    # Debian does not compile what Blender itself starts, and nothing can be written to a root: each start would compile it, for two seconds.
+    inside python3 -m compileall -q /usr/share/blender >>"$log" 2>&1 || true  # templates do not compile
     rm -rf "$root.part"/var/lib/apt/lists/* "$root.part/etc/apt/apt.conf.d/"*proxy* "$root.part/etc/resolv.conf"
 }
 
