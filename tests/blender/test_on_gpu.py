@@ -10,6 +10,7 @@ from conftest import library_camera, psnr, read_png
 
 import fastgs_blender as fg
 
+pytestmark = pytest.mark.newest
 GPU, STEPS = "llvmpipe", 150
 
 

@@ -10,6 +10,7 @@ import pytest
 from blenders import Failed
 from conftest import lend_kernels, psnr, read_png
 
+pytestmark = pytest.mark.newest  # training is the same in all; its panel is in tools_window.panels, which runs in both
 BASE, ENVIRONMENT, KERNELS = "training-base", "training-environment", "training-kernels"
 """Folders in the working folder: the Python that is lent, an environment of it with what is installed here, its compiled kernels."""
 
