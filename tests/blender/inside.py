@@ -62,6 +62,7 @@ def at_full_size(steps):
 
 
 bpy.context.preferences.view.show_splash = False
+bpy.context.preferences.system.viewport_aa = 'FXAA'  # once: eight samples would draw each view eight times, in software
 bpy.context.preferences.inputs.mouse_double_click_time = 1  # ms: two clicks of a story are two, however soon the second comes
 try:
     story = begin()

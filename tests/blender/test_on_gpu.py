@@ -11,7 +11,7 @@ from conftest import library_camera, psnr, read_png
 import fastgs_blender as fg
 
 pytestmark = pytest.mark.newest
-GPU, STEPS = "llvmpipe", 150
+GPU, STEPS = "llvmpipe", 75
 
 
 @pytest.fixture(scope="module")
