@@ -113,8 +113,8 @@ class PictureBackend(Protocol):
         relight.py says, times unlit [M, 3] or 1; if meshes drop shadows, also those without these, and Taken.numbers [M, 5, L]."""
 
     def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
-        """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and which of these have light left before
-        them in a pixel, [V] bool.  It is an estimate."""
+        """Of each instance, the Gaussians that the camera sees if nothing hides them, [V] int64, and the largest share that each of these
+        has of a pixel, [V] float32.  It is an estimate."""
 
     def thinnest(self, places: np.ndarray, axes: np.ndarray, opacity: np.ndarray, reach: float, towards: np.ndarray, turn: np.ndarray,
                  rows: np.ndarray | None = None) -> np.ndarray:

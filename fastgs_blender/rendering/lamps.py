@@ -14,7 +14,7 @@ from numpy.typing import ArrayLike
 
 from ..util.errors import FastGSError
 from ..util.threads import product
-from .shadow import Light
+from .shadow import Light, mixed
 
 TIMES = 8
 """Times at which a lamp of one point throws shadows while a shutter is open, if these move."""
@@ -174,6 +174,7 @@ def panorama(radiance: np.ndarray, directions: int = 32) -> Lamp | None:
         halves = [(top, bottom, left, left + cut), (top, bottom, left + cut, right)] if across else [
             (top, top + cut, left, right), (top + cut, bottom, left, right)]
         parts[most:most + 1] = [measured(*half) for half in halves]
+    parts = [parts[k] for k in mixed(len(parts))]
     boxes = [np.s_[top:bottom, left:right] for _, _, (top, bottom, left, right) in parts if energy[top:bottom, left:right].any()]
     middles = np.stack([(energy[box][..., None] * towards[box]).sum((0, 1)) for box in boxes])
     colours = np.stack([light[box].sum((0, 1)) for box in boxes])

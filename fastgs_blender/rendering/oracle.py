@@ -349,7 +349,8 @@ class Oracle:
             return past_splats([project(instance, camera, layout) for instance in instances], layout.places["plane"], camera, points, over)
 
     def contributing(self, instances: list[ViewedInstance], camera: Camera) -> list[tuple[np.ndarray, np.ndarray]]:
-        return [(np.sort(order_in_numpy([each], camera)).astype(np.int64), np.array(True)) for each in instances]
+        seen = [np.sort(order_in_numpy([each], camera)).astype(np.int64) for each in instances]
+        return [(index, np.ones(len(index), np.float32)) for index in seen]
 
     past_triangles, view_box = staticmethod(past_triangles), staticmethod(view_box)
     posed, thinnest, spread, painted = staticmethod(posed), staticmethod(thinnest), staticmethod(spread), staticmethod(painted)

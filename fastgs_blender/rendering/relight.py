@@ -39,6 +39,8 @@ from .ways import Sides, Ways
 
 REACH = 3.0
 """Standard deviations along a lamp's rays by which a Gaussian may lie behind another and still be lit: it is a part of the same surface."""
+LEAST = np.float32(1e-30)
+"""Light that is none."""
 SPREAD = 4
 """Places of a Gaussian that are looked at from a lamp, all its points together."""
 
@@ -128,22 +130,35 @@ class SceneLight:
         once = [lamp.light.parallel for lamp in self.lamps for _ in lamp.light.points] == [True]
         scene = Ways(backend, casting, self.meshes, once, self.moments)
         for number, lamp in enumerate(self.lamps):
-            colour = lamp.colour / len(lamp.colour)
-            shares, lit = _shares(lamp, spots)
-            asked = spots.part(lit)
-            sides = scene.of_lamp(lamp.name, self.clear.get(lamp.name)).sides(lamp.light, asked.position, asked.sizes())
-            alike, full = np.zeros((4, len(lit)), np.float32), np.zeros((4, 1, len(spots)), np.float32)
-            through = several(partial(self._through, lamp, sides, asked, backend), [(k,) for k in range(len(colour))])
-            for k, (arrived, (meshes, splats)) in enumerate(zip(taken([shares], lit, -1)[0], through, strict=True)):
-                for sums, let in zip(alike, (1, meshes, meshes * splats, splats), strict=True):
-                    sums += arrived * let
-                if k + 1 == len(colour) or (colour[k + 1] != colour[k]).any():
-                    for (row,), sums in zip(full, alike, strict=True):
-                        row[lit] = sums
-                    total[self.levels[number]] += full * colour[k][:, None].astype(np.float32)
-                    alike[:] = 0
-                progress((number + (k + 1) / len(colour)) / len(self.lamps))
+            done = partial(lambda share, number: progress((number + share) / len(self.lamps)), number=number)
+            total[self.levels[number]] += self._of_lamp(lamp, spots, scene, backend, done)
         return total
+
+    def _of_lamp(self, lamp: Lamp, spots: Spots, scene: Ways, backend: Any, progress: Callable[[float], None]) -> np.ndarray:
+        """What arrives from a lamp [4, 3, P], as _arriving() says."""
+        shares, lit = _shares(lamp, spots)
+        spots, every = spots.part(lit), taken([shares], lit, -1)[0]
+        sides = scene.of_lamp(lamp.name, self.clear.get(lamp.name)).sides(lamp.light, spots.position, spots.sizes())
+        tints = lamp.colour.astype(np.float32) / len(lamp.colour)
+        alike = (tints == tints[0]).all()  # what is summed is then one number for all channels
+        factors = np.ones((len(tints), 1), np.float32) if alike else tints
+        whole = np.zeros((factors.shape[1], len(lit)), np.float32)
+        sums = np.zeros((4, *whole.shape), np.float32)
+        for points, rows in spots.asking(len(tints)):
+            asked = spots.part(rows)
+            part = np.zeros((4, len(whole), len(rows)), np.float32)
+            through = several(partial(self._through, lamp, sides, asked, backend), [(k,) for k in points])
+            for k, (meshes, splats) in zip(points, through, strict=True):
+                whole += factors[k][:, None] * every[k]
+                arrived = factors[k][:, None] * every[k, rows]
+                for row, let in zip(part, (1, meshes, meshes * splats, splats), strict=True):
+                    row += arrived * let
+                progress((k + 1) / len(tints))
+            sums[..., rows] += part
+        sums *= whole / np.maximum(sums[0], LEAST)  # spots that asked some of the points know of those which share comes through
+        out = np.zeros((4, 3, shares.shape[1]), np.float32)
+        out[..., lit] = sums * tints[0][:, None] if alike else sums
+        return out
 
     def _through(self, lamp: Lamp, sides: Sides, spots: Spots, backend: Any, number: int) -> tuple[np.ndarray, np.ndarray]:
         """Which share of the light of a lamp's point of that number comes past the meshes, and past the splats to spots: [M] each."""
@@ -184,14 +199,15 @@ class _Surface:
     """The M Gaussians of an instance that its camera shows, as a surface in the world: arrays as Spots has them.
 
     index  [M] which of the model's
+    shares [M] the largest share that each has of a pixel
     local  [M, 3] their places in the model's space
     """
 
     def __init__(self, instance: ViewedInstance, backend: Any, shows: tuple[np.ndarray, np.ndarray] | None):
         every = np.arange(len(instance.model))
-        index, marks = (every, np.array(True)) if shows is None else shows
-        shown, rows = Shown(instance, index, backend), np.flatnonzero(np.broadcast_to(marks, index.shape))
-        self.instance, self.index = instance, shown.index[rows]
+        index, shares = (every, np.ones(len(every), np.float32)) if shows is None else shows
+        shown, rows = Shown(instance, index, backend), np.flatnonzero(shares)
+        self.instance, self.index, self.shares = instance, shown.index[rows], shares[rows]
         local, self.position, axes = taken((shown.position.T, shown.world.T, shown.axes), rows, -1)
         self.local = local.T
         self.axes = product(instance.placement[:3, :3], axes.reshape(3, -1)).reshape(axes.shape)

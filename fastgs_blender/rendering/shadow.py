@@ -24,7 +24,7 @@ from .ways import Ways, across
 
 @dataclass(frozen=True, eq=False)
 class Light:
-    """A light of equally bright points.
+    """A light of equally bright points, in an order in which each run of them is spread all over it.
 
     points    [L, 3] in the world; of a sun unit vectors towards it
     parallel  whether it is a sun, whose rays are parallel from each of its points
@@ -61,7 +61,7 @@ class Light:
     @classmethod
     def ball(cls, centre: ArrayLike, radius: float, samples: int = 32) -> Light:
         """A ball around a centre: points of its surface."""
-        k = np.arange(samples) + 0.5
+        k = mixed(samples) + 0.5
         z, turn = 1 - 2 * k / samples, np.pi * (1 + 5**0.5) * k
         flat = np.sqrt(1 - z * z)
         ball = np.stack([flat * np.cos(turn), flat * np.sin(turn), z], 1)
@@ -115,6 +115,11 @@ class Shadow:
             progress(done / count)
         out[seen] = total / count
         return out
+
+
+def mixed(count: int) -> np.ndarray:
+    """The numbers 0..count in an order in which those of each run lie evenly among all."""
+    return np.argsort(np.arange(count) / PLASTIC % 1, kind="stable")
 
 
 def _spread(count: int) -> np.ndarray:

@@ -177,10 +177,9 @@ def taken(arrays: Sequence[np.ndarray], index: np.ndarray, axis: int = 0) -> lis
 
 
 def portions(total: int, most: int = 0, least: int = 0) -> list[tuple[int, int]]:
-    """ranges() of so many that each thread has four, but of at most `most` and at least `least`; 0: MOST and LEAST.  Where run() works in
-    one thread alone there are four."""
+    """ranges() of at most `most` and at least `least`, 0: MOST and LEAST; each thread has four, where run() has several threads."""
     count = 1 if getattr(_here, "busy", False) else thread_count()
-    return ranges(total, min(most or MOST, max(least or LEAST, -(-total // (4 * count)))))
+    return ranges(total, min(most or MOST, max(least or LEAST, -(-total // (4 * count)) if count > 1 else total)))
 
 
 def ranges(total: int, size: int) -> list[tuple[int, int]]:

@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The light that each Gaussian gives to a picture: the sums of its blending weights over pixels.
+"""The light that each Gaussian gives to a picture: the sums of its blending weights over pixels, and the largest of these weights.
 
-Blending is linear in the channels, so that these are the picture's gradients by them (raster_backward.py).
+Blending is linear in the channels, so that the sums are the picture's gradients by them (raster_backward.py).
 """
 from __future__ import annotations
 
@@ -9,15 +9,20 @@ import math
 from dataclasses import dataclass, replace
 
 import numpy as np
+from llvmlite import ir
+from numba.core import cgutils, types
+from numba.extending import intrinsic
+from numba.np.arrayobj import make_array
 
 from ...rendering.layout import Layout
+from ...rendering.oracle import T_STOP
 from ...rendering.ways import without_colours
 from ...util.threads import ranges, run
-from . import raster
+from . import groups, raster, simd
 from .jit import announce, kernel
 from .rasterise import ENTRIES, RasterState, rasterise_backward, rasterise_forward
 from .splats import ProjectedSplats, project_instances
-from .tile_lists import list_tiles
+from .tile_lists import TileLists, list_tiles
 
 SMALL, COARSE = 400, 4
 """Pictures with a longer side than this are looked at through one pixel for each COARSE x COARSE to see what contributes to them."""
@@ -88,39 +93,74 @@ def contributing(instances, camera) -> list[tuple[np.ndarray, np.ndarray]]:
         model, own = without_colours(each.model), each.model.raster
         drawn.append(replace(each, camera=coarse, model=replace(model, raster=replace(own, blur=own.blur * wider / by**2))))
     splats = project_instances(drawn, coarse, Layout(drawn, False))
-    _, state = rasterise_forward(splats.order(), splats.geometry, splats.attributes, splats.channels,
-                                 replace(coarse, window=shown))
-    marks = np.zeros(len(splats.source), np.bool_)
-    for first, last in state.listing.bands(ENTRIES):
-        lists = state.lists or list_tiles(state.listing.segments, state.listing.counts, first, last)
-        rest = (*state.listing.frame, *lists, splats.geometry, splats.attributes, state.trace, marks)
-        run(lambda a, b, first=first, rest=rest: mark(first + a, first + b, *rest), ranges(last - first, TILES))
+    listing = TileLists.of(splats.order(), splats.geometry, splats.attributes, replace(coarse, window=shown))
+    shares = np.zeros(len(splats.source), np.float32)
+    for first, last in listing.bands(ENTRIES):
+        rest = (*listing.frame, *list_tiles(listing.segments, listing.counts, first, last), splats.geometry, splats.attributes, shares)
+        run(lambda a, b, first=first, rest=rest: weigh(first + a, first + b, *rest), ranges(last - first, TILES))
     found = []
     for pieces in splats.runs:
         rows = np.concatenate([np.arange(first, first + number) for first, number in pieces] or [np.zeros(0, int)])
-        found.append((splats.source[rows].astype(np.int64), marks[rows]))
+        found.append((splats.source[rows].astype(np.int64), shares[rows]))
     return found
 
 
 @kernel
-def mark(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, trace, marks):
-    """Mark the splats of the tiles first..last before which light is left in a pixel of theirs, as a trace (raster.rasteriser) tells."""
+def weigh(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, shares):
+    """The largest share that each splat of the tiles first..last has of a pixel there, in shares, unless it has a larger one already."""
+    left_over, lines = np.empty(raster.PIXELS, np.float32), np.empty(groups.LINES, np.float32)
     for tile in range(first, last):
         left, top = (tile_x + tile % columns) * raster.TILE, (tile_y + tile // columns) * raster.TILE
-        west, east, north, south = max(left, x0), min(left + raster.TILE, right), max(top, y0), min(top + raster.TILE, bottom)
-        deepest = -1.0
-        for y in range(north, south):
-            for x in range(west, east):
-                deepest = max(deepest, trace[y - y0, x - 2 * x0 + right])
-        for k in range(min(starts[tile + 1] - starts[tile], int(deepest) + 1)):
-            i = ids[starts[tile] + k]
-            if marks[i]:
-                continue
-            mx, my, rx, ry = (geometry[i, raster.MEAN_X] - 0.5, geometry[i, raster.MEAN_Y] - 0.5, attributes[i, raster.RADIUS_X],
-                              attributes[i, raster.RADIUS_Y])
-            y, low, high = max(north, math.ceil(my - ry)), max(west, math.ceil(mx - rx)), min(east, math.floor(mx + rx) + 1)
-            while y < min(south, math.floor(my + ry) + 1) and not marks[i]:
-                for x in range(low, high):
-                    if trace[y - y0, x - 2 * x0 + right] >= k:
-                        marks[i] = True  # never False, which could undo what another thread writes for another tile
-                y += 1
+        raster.begin(left_over, left, top, x0, y0, right, bottom)
+        live = np.uint32(groups.ALL)
+        for k in range(starts[tile], starts[tile + 1]):
+            i, ahead = np.intp(ids[k]), np.intp(ids[min(k + raster.AHEAD, starts[tile + 1] - 1)])
+            simd.prefetch(geometry, ahead)
+            simd.prefetch(attributes, ahead)
+            u, v, slopes = raster.line(geometry, i, left, top)
+            reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT])
+            finished, share = take_light(left_over, reached & live, lines, slopes[0], attributes, i)
+            if share > shares[i]:
+                raise_to(shares, i, share)
+            live &= ~finished
+            if live == 0:
+                break
+
+
+@intrinsic
+def take_light(context, left_over, visited, lines, du, attributes, splat):
+    """Take a splat's share from the light that is left in its groups of pixels (groups.reached, which wrote lines).  Returns the groups
+    whose pixels are all finished, and the largest share."""
+    def build(context, b, signature, args):
+        light, lines, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 2, 4))
+        du, width = simd.broadcast(b, args[3]), make_array(signature.args[4])(context, b, args[4]).shape
+        row = b.mul(args[5], b.extract_value(width, 1))
+        kept = {i: simd.broadcast(b, attributes.scalar(row, i)) for i in (raster.ALPHA_MAX, raster.LOG2_CUT)}
+        finished, most = cgutils.alloca_once_value(b, groups.BITS(0)), cgutils.alloca_once_value(b, simd.constant(b, 0.0).value)
+        with groups.each(b, args[1]) as (group, bit):
+            pixel = b.mul(group, args[5].type(simd.LANES))
+            u, line = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
+            before = light.floats(pixel, 0)
+            share = before * raster.covering(b, kept.__getitem__, u, du, line)
+            after = before - share
+            live = after > T_STOP
+            b.store(simd.Floats(b, b.load(most)).max(share.where(live, 0.0)).value, most)
+            light.store(pixel, 0, after.where(live, before.negative_magnitude()))
+            over = b.zext(b.not_(simd.any_of(b, live)), groups.BITS)
+            b.store(b.or_(b.load(finished), b.shl(over, bit)), finished)
+        return context.make_tuple(b, signature.return_type, (b.load(finished), simd.largest(b, simd.Floats(b, b.load(most)))))
+
+    number = types.float32
+    return types.Tuple((types.uint32, number))(left_over, types.uint32, lines, number, attributes, types.intp), build
+
+
+@intrinsic
+def raise_to(context, array, index, number):
+    """Make an element of a float32 array at least so large, for a number from 0 on: what threads write side by side is not lost."""
+    def build(context, b, signature, args):
+        whole = ir.IntType(32)  # the bits of such numbers are in the numbers' order
+        place = b.gep(make_array(signature.args[0])(context, b, args[0]).data, [args[1]])
+        b.atomic_rmw("max", b.bitcast(place, whole.as_pointer()), b.bitcast(args[2], whole), "monotonic")
+        return context.get_dummy_value()
+
+    return types.void(array, types.intp, types.float32), build

@@ -6,6 +6,8 @@ AVX on x86, pairs of NEON registers on ARM; no instruction is named.
 """
 from __future__ import annotations
 
+from functools import reduce
+
 from llvmlite import ir
 from numba.core import types
 from numba.extending import intrinsic
@@ -104,6 +106,12 @@ def any_of(builder, mask):
     """Whether the mask holds in any lane."""
     bits = ir.IntType(LANES)
     return builder.icmp_unsigned("!=", builder.bitcast(mask, bits), bits(0))
+
+
+def largest(builder, floats):
+    """The largest of eight, as a scalar."""
+    lane = [builder.extract_element(floats.value, ir.Constant(ir.IntType(32), i)) for i in range(LANES)]
+    return reduce(lambda a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), lane)
 
 
 def broadcast(builder, scalar) -> Floats:

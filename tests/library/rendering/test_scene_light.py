@@ -8,6 +8,7 @@ import pytest
 import fastgs_blender as fg
 from fastgs_blender.model.appearance import SH_C0
 from fastgs_blender.model.edits import Edit
+from fastgs_blender.rendering import spots
 from fastgs_blender.rendering.colour import srgb_to_linear
 from fastgs_blender.rendering.exposure import Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
@@ -72,6 +73,28 @@ def test_a_lamp_behind_the_wall_does_not_light_it():
 def test_the_world_lights_as_much_as_it_shines():
     """Half of a uniform world of radiance 1 is before a wall: it has its own colour."""
     assert np.allclose(middle(lit(wall(), [dome((1.0, 1.0, 1.0), 64)])), ALBEDO, rtol=0.03)
+
+
+def haze(count=6000):
+    """Faint discs that face the camera, near a wall's depth: none makes much of a pixel."""
+    rng, n = np.random.default_rng(3), count
+    return fg.GaussianModel(
+        position=rng.uniform([-2.2, -2.2, 3.98], [2.2, 2.2, 4.02], (n, 3)), rotation=np.tile([1.0, 0, 0, 0], (n, 1)),
+        opacity=np.full(n, -4.0), scale=np.log(np.tile([0.2, 0.2, 1e-4], (n, 1))), features=np.full((n, 3), GREY), appearance=fg.RGB())
+
+
+@pytest.mark.parametrize("light", [Light.rectangle([0, 0, 2], [0.8, 0, 0], [0, 0.8, 0], 16), dome((1.0, 1.0, 1.0), 32).light])
+def test_what_shows_little_asks_less_and_is_lit_as_much(light, monkeypatch):
+    """Without shadows nothing changes, and under a board's the mean stays: single Gaussians know a quarter of the lamp."""
+    def pictures():
+        for meshes in (None, board(0.3, 0.0, 3.2, 0.4)):
+            yield lit(haze(), [Lamp(light, (3.0, 2.0, 1.0))], replace(LIT, casts=False), meshes=meshes)
+
+    (free, dark), _ = list(pictures()), monkeypatch.setattr(spots, "MANY", 10**6)
+    every = list(pictures())
+    np.testing.assert_allclose(free, every[0], rtol=1e-5)
+    assert np.abs(dark - every[1]).max() < 0.05 * dark.max() and abs(dark.mean() / every[1].mean() - 1) < 2e-3
+    assert (dark < 0.9 * free).any() and not np.array_equal(dark, every[1])
 
 
 def test_a_panorama_lights_from_where_it_is_bright():

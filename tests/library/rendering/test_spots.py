@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from fastgs_blender.rendering.spots import evenly
+from fastgs_blender.rendering.spots import FAINT, MANY, SLIGHT, Spots, evenly
 from fastgs_blender.util.backends import load_backend
 
 BACKENDS = [load_backend(name) for name in ("cpu", "reference")]
@@ -43,3 +43,18 @@ def test_what_lies_behind_a_lamp_is_not_looked_at(backend):
     assert np.allclose(backend.view_box(points, view, False), [[0, 0.5, 2], [1, 0.5, 4]])
     assert not np.isfinite(backend.view_box(-np.abs(points), view, False)).all()
     assert np.allclose(backend.view_box(points, view, True), [[0, 1, -1], [9, 9, 4]])
+
+
+def test_gaussians_ask_as_many_points_of_a_lamp_as_they_show():
+    """Those that make much of a pixel ask all, others a half or a quarter; each point is asked by as many of these, and none twice."""
+    shares = np.repeat([1.0, (FAINT + SLIGHT) / 2, FAINT / 2], 8).astype(np.float32)
+    spots = Spots(np.zeros((3, 24)), np.zeros((3, 24)), np.zeros((3, 3, 24)), np.arange(24), np.zeros(24, int), shares, ())
+    for count in (MANY, MANY + 5, 2 * MANY):
+        asked = np.zeros((24, count), int)
+        for points, rows in spots.asking(count):
+            asked[np.ix_(rows, points)] += 1
+        assert (asked.max() == 1) and (asked[:8] == 1).all()
+        assert np.allclose(asked[8:16].mean(1), 0.5, atol=1 / count) and np.allclose(asked[16:].mean(1), 0.25, atol=1 / count)
+        assert (asked[8:16].sum(0) == 4).all() and (asked[16:].sum(0) == 2).all()
+    (points, rows), = spots.asking(MANY - 1)
+    assert len(points) == MANY - 1 and len(rows) == 24
