@@ -2,6 +2,7 @@
 """Checks of values that Python programs pass: numbers, shapes and names that are out of bounds are told in one sentence.
 
 Arguments of a wrong type are left to Python's own errors, but where the mistake is a likely one."""
+import math
 from collections.abc import Iterable
 from dataclasses import asdict
 from numbers import Real
@@ -41,7 +42,7 @@ def integer(value: Any, what: str, low: int, high: int) -> int:
 def finite(value: Any) -> bool:
     """Whether a value is a number that float64 holds."""
     try:
-        return isinstance(value, Real) and not isinstance(value, bool) and bool(np.isfinite(float(value)))
+        return isinstance(value, Real) and not isinstance(value, bool) and math.isfinite(float(value))
     except OverflowError:
         return False
 
