@@ -259,7 +259,7 @@ class ViewedInstance(Instance):
         """Depth from which on Gaussians are drawn: the larger of the camera's limit and the model's own, which grows with the object."""
         return max(self.camera.near, self.model.raster.near * self.scale)
 
-    @property
+    @cached_property
     def scale(self) -> float:
         """Factor by which the placement makes the model larger."""
         return float(np.cbrt(abs(np.linalg.det(self.placement[:3, :3]))))
