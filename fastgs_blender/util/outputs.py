@@ -14,7 +14,7 @@ import time
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
-from typing import IO, Any
+from typing import IO, Any, BinaryIO
 
 from . import locks
 from .errors import FastGSError
@@ -93,17 +93,31 @@ def appending(path: str | os.PathLike, mode: str = "ab", **options: Any) -> IO[A
 @contextmanager
 def _aside(folder: Path) -> Iterator[Path]:
     """A new hidden folder, held by this process, and removed at the end."""
-    aside = folder / f".fastgs-{secrets.token_hex(6)}.tmp"
-    aside.mkdir()
-    lock = None
+    aside, lock = _held(folder)
     try:
-        with suppress(locks.NoLocks):
-            lock = locks.acquire(aside / LOCK)
         yield aside
     finally:
         if lock is not None:
             lock.close()
         shutil.rmtree(aside, ignore_errors=True)
+
+
+def _held(folder: Path) -> tuple[Path, BinaryIO | None]:
+    """A new hidden folder, and its lock where there are locks.
+
+    Another process may find the lock before it is held, and takes the folder for a dead one's: then it is another folder's turn.
+    """
+    while True:
+        aside = folder / f".fastgs-{secrets.token_hex(6)}.tmp"
+        aside.mkdir()
+        try:
+            lock = locks.acquire(aside / LOCK)
+        except locks.NoLocks:
+            return aside, None
+        except FileNotFoundError:
+            continue
+        if lock is not None:
+            return aside, lock
 
 
 def _remove_dead(path: Path) -> None:
@@ -121,8 +135,10 @@ def _remove_dead(path: Path) -> None:
             except locks.NoLocks:
                 lock = open(os.devnull, "rb") if old else None  # noqa: SIM115 (closed below)
             if lock is not None:
-                lock.close()  # Windows removes no open file
+                if os.name == "nt":  # which removes no open file; elsewhere nobody can take it meanwhile
+                    lock.close()
                 shutil.rmtree(path, ignore_errors=True)
+                lock.close()
 
 
 def _ours(path: Path) -> bool:

@@ -79,6 +79,25 @@ def test_what_a_killed_process_left_goes_and_what_a_living_one_writes_stays(tmp_
     assert sorted(os.listdir(tmp_path)) == ["b.safetensors", "c"]
 
 
+def test_a_folder_that_another_process_takes_for_a_dead_ones_is_left_to_it(tmp_path, monkeypatch):
+    """It has found the lock before its writer holds it: the writer goes on in another folder, and both its files arrive."""
+    own, seen = locks.acquire, []
+
+    def acquire(path):
+        path.touch()
+        seen.append(path)
+        if len(seen) == 1:
+            remove_leftovers(tmp_path)  # another process, which holds it for a moment
+            assert not path.parent.exists()
+        return own(path)
+
+    with monkeypatch.context() as patched:
+        patched.setattr(outputs, "_cleared", {str(tmp_path)})
+        patched.setattr(locks, "acquire", lambda path: own(path) if any(path.parent == each.parent for each in seen) else acquire(path))
+        write_pair(tmp_path, "new")
+    assert pair(tmp_path) == {"new"} and sorted(os.listdir(tmp_path)) == sorted(FILES) and len({each.parent for each in seen}) == 2
+
+
 @pytest.mark.posix
 def test_leftovers_of_others_stay(tmp_path, monkeypatch):
     """Files whose writer may live, those of another user, and links."""
