@@ -24,6 +24,16 @@ def differs(values: ArrayLike, deviations: ArrayLike, least: float) -> np.ndarra
     return known & (np.abs(np.where(known, value, 0)) > np.maximum(least, SURE * np.where(known, deviation, 0)))
 
 
+def median(values: ArrayLike) -> tuple[float, float]:
+    """The median of values and its standard deviation, whatever their distribution: from the quantiles beside it; NaN of none."""
+    known = np.asarray(values, np.float64)
+    if not len(known):
+        return np.nan, np.nan
+    beside = 0.5 / np.sqrt(len(known))
+    low, middle, high = np.quantile(known, [0.5 - beside, 0.5, 0.5 + beside])
+    return float(middle), float(high - low) / 2
+
+
 def limits(values: np.ndarray, deviations: np.ndarray, moves: np.ndarray) -> np.ndarray:
     """Between which training may move values [2, ...]: where `moves`, AROUND deviations to either side; else they stay 0."""
     return np.stack([np.where(moves, values + side * AROUND * deviations, 0.0) for side in (-1, 1)])

@@ -13,9 +13,9 @@ from ..training.initial.calibrate import calibrated
 from ..util.documentation import page
 from ..util.errors import FastGSError
 from . import drawing
-from .matching import Matches
+from .matching import CLOSE, Matches
 from .report import Section, listed, rounded
-from .reprojection import OFF, offsets
+from .reprojection import OFF, offsets, surely_off
 from .samples import Inspection, Sample
 
 FAR_OFF = 3.0
@@ -44,14 +44,20 @@ def run(inspection: Inspection) -> Section:
     if not matches.pairs:
         pairs = f"none of {matches.tried} pairs" if matches.tried else "none of the pairs"
         section.add("note", f"The calibration cannot be judged: {pairs} of pictures has enough in common, as with cameras that are far "
-                            "apart or a scene without texture.", "Train a draft, and look at the held-out views.")
+                            "apart, a scene without texture or one that repeats itself.", "Train a draft, and look at the held-out views.")
         return section
     scale = {view: samples[0].shrunk for view, samples in inspection.samples.items()}
     bad, error = inspection.judged.wrong, inspection.judged.misses
     usual = float(np.median([error[view] for view in inspection.views if view not in bad and np.isfinite(error[view])] or [np.nan]))
     for view in bad:
         _tell(section, inspection, matches, view, error[view] * scale[view], bad)
-    if not bad and np.isfinite(usual) and usual > OFF:
+    unsure = inspection.judged.unsure
+    if unsure:
+        section.add("note", f"Unsure: many features of {listed(unsure)} are far from where the other cameras put them. But they are few, "
+                    "others fit, or it is so beside a single camera: floors and walls that repeat themselves look like that.",
+                    "Trust the calibration if its own report is good. Else put things with patterns of their own into the scene, and look "
+                    "again.", unsure)
+    if not bad and np.isfinite(usual) and usual > OFF and 2 * len(unsure) < sum(miss > OFF for miss in error.values()):
         section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
                     "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
                     "neither cropped, turned nor stabilised, and that lens correction in the cameras was the same as when they were "
@@ -124,8 +130,8 @@ def _tell(section: Section, inspection: Inspection, matches: Matches, view: str,
 
 def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Collection[str]) -> None:
     """Whether errors are larger near the borders, which means that the calibration's lens model is wrong."""
-    inside: dict[str, list] = {view: [] for view in inspection.views}
-    outside: dict[str, list] = {view: [] for view in inspection.views}
+    inside: dict[str, dict] = {view: {} for view in inspection.views}
+    outside: dict[str, dict] = {view: {} for view in inspection.views}
     for pair in matches.pairs:
         if pair.a in bad or pair.b in bad:
             continue
@@ -133,11 +139,13 @@ def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Co
             each = matches.features[pair.moment, view]
             middle = np.array([each.camera.width, each.camera.height]) / 2
             radius = np.linalg.norm((each.places[pair.rows[:, k]] - middle), axis=1) / np.linalg.norm(middle)
-            outside[view] += pair.distance[radius > BORDER].tolist()
-            inside[view] += pair.distance[radius <= BORDER].tolist()
-    rise = {view: float(np.median(outside[view]) - np.median(inside[view])) for view in inside
-            if len(outside[view]) >= LEAST_POINTS and len(inside[view]) >= LEAST_POINTS}
-    for view in [view for view, value in rise.items() if value > RISE]:
+            other = (pair.b, pair.a)[k]
+            for (x, y), far, error in zip(each.places[pair.rows[:, k]] // CLOSE, radius > BORDER, pair.distance):
+                (outside if far else inside)[view][other, x, y] = error  # what stands still is one place at all moments
+    errors = {view: [np.array(list(part[view].values())) for part in (inside, outside)] for view in inspection.views}
+    errors = {view: parts for view, parts in errors.items() if min(map(len, parts)) >= LEAST_POINTS}
+    rise = {view: float(np.median(far) - np.median(near)) for view, (near, far) in errors.items()}
+    for view in [view for view, (near, far) in errors.items() if surely_off(far, float(np.median(near)) + RISE)]:
         section.add("poor", f"Near the borders of {view}, matches miss by {rise[view]:.1f} pixels more than in its middle: its lens is not "
                     "what the calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of "
                     "distortion or as a fisheye.", [view], ("rise at the border", round(rise[view], 3), "pixels"))

@@ -4,19 +4,26 @@
 Epipolar distances alone are not enough: if a camera on an arc is turned sideways, its features move along the epipolar lines.  So a point
 is triangulated from a track's features in the other cameras, and projected into the camera; epipolar lines are used only where no three
 cameras see the same point.
+
+A camera is called wrong only if its error surely exceeds OFF (captures/evidence.py), whichever other camera is left out, and its own pose
+has no support: where things repeat, matches that are off by a whole tile may outnumber the others, but right poses still put some features
+exactly on their points.  Else it is unsure.
 """
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
+from ..captures.evidence import SURE, differs, median
 from ..training.initial import features
 from .matching import CLOSE, Matches
 
 OFF = 1.5
 """Reprojection error, in pixels of the sampled pictures, above which a camera counts as wrong."""
-ENOUGH = 16
-"""Least number of tracks for a camera's error to be trusted."""
+ENOUGH, LEAST = 16, 6
+"""Least number of tracks for a camera's error to be trusted, and for its error without one of the other cameras."""
+EXACT, AROUND = 1.0, 3.0
+"""Errors in pixels of features that support a pose, and up to which others are counted that may lie there by chance."""
 MOST = 200
 """Largest number of tracks that are evaluated for a camera."""
 
@@ -24,47 +31,72 @@ MOST = 200
 @dataclass(frozen=True, eq=False)
 class Judged:
     """misses: for each view its median error in pixels against the correct cameras, NaN where too few features match; wrong: the views with
-    a wrong calibration, the worst first."""
+    a wrong calibration, the worst first; unsure: those whose error is large, and may be so by wrong matches alone."""
 
     misses: dict[str, float]
     wrong: list[str]
+    unsure: list[str] = field(default_factory=list)
 
 
 def judged(matches: Matches, views: Sequence[str]) -> Judged:
-    """Find the wrong cameras one by one: leave out the worst camera, and measure the others again without it."""
-    wrong: list[str] = []
-    final: dict[str, float] = {}
+    """Find the wrong cameras one by one: leave out the worst camera, surely wrong or not, and measure the others again without it."""
+    aside: dict[str, bool] = {}
+    final: dict[str, tuple[float, bool]] = {}
     while True:
-        found = {view: _miss(matches, view, wrong) for view in views if view not in wrong}
+        found = {view: _miss(matches, view, list(aside)) for view in views if view not in aside}
         final |= found
-        off = {view: miss for view, miss in found.items() if miss > OFF}
-        if not off or len(off) == sum(map(np.isfinite, found.values())) <= 2 or len(wrong) >= len(views) // 2:
+        off = {view: miss for view, (miss, _) in found.items() if miss > OFF}
+        known = sum(np.isfinite(miss) for miss, _ in found.values())
+        if not any(sure for _, sure in found.values()) or len(off) == known <= 2 or len(aside) >= len(views) // 2:
             break
-        wrong.append(_worst(matches, off, wrong))
-    if len(wrong) >= max(len(views) // 2, 2):  # nobody is right: the calibration as a whole is off
-        wrong = []
-        final = {view: _miss(matches, view, wrong) for view in views}
-    return Judged({view: final[view] for view in views}, wrong)
+        worst = _worst(matches, off, list(aside))
+        aside[worst] = found[worst][1] and _steady(matches, worst, found, list(aside))
+    if len(aside) >= max(len(views) // 2, 2):  # nobody is right: the calibration as a whole is off
+        aside, final = {}, {view: _miss(matches, view, []) for view in views}
+    misses = {view: final[view][0] for view in views}
+    return Judged(misses, [view for view, sure in aside.items() if sure],
+                  [view for view, miss in misses.items() if miss > OFF and not aside.get(view, final[view][1])])
 
 
 def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> str:
-    """Of the cameras with large errors, the one whose removal lowers the others' errors most."""
+    """Of the cameras with large errors, the one whose removal lowers the others' errors most; where these are small without any one of
+    several, the one with the largest error."""
     if len(off) == 1:
         return next(iter(off))
     tried = sorted(off, key=lambda view: -off[view])[:4]
-    rest = {view: [miss for other in off if other != view and np.isfinite(miss := _miss(matches, other, [*without, view]))]
+    rest = {view: [miss for other in off if other != view and np.isfinite(miss := _miss(matches, other, [*without, view])[0])]
             for view in tried}
-    return min(tried, key=lambda view: (np.mean(rest[view]) if rest[view] else np.inf, -off[view]))
+    return min(tried, key=lambda view: (max(np.mean(rest[view]), OFF) if rest[view] else np.inf, -off[view]))
 
 
-def _miss(matches: Matches, view: str, without: Sequence[str]) -> float:
-    """The error of a view's features in pixels: reprojection errors of points of the other views, else distances from epipolar lines."""
-    off, _, _ = offsets(matches, view, without)
-    if len(off) >= ENOUGH:
-        return float(np.median(off))
-    lines = [pair.distance for pair in matches.pairs
-             if view in (pair.a, pair.b) and not {pair.a, pair.b} & set(without)]
-    return float(np.median([np.median(line) for line in lines])) if lines else np.nan
+def _steady(matches: Matches, view: str, others: Iterable[str], without: Sequence[str]) -> bool:
+    """Whether a camera's error is large whichever of the others is left out: else that one may be wrong as well."""
+    points = len(offsets(matches, view, without)[0]) >= ENOUGH
+    errors = [offsets(matches, view, [*without, other])[0] if points else _lines(matches, view, [*without, other])
+              for other in others if other != view]
+    medians = [np.median(each) for each in errors if len(each) >= LEAST]
+    return len(medians) > 1 and min(medians) > OFF
+
+
+def _miss(matches: Matches, view: str, without: Sequence[str]) -> tuple[float, bool]:
+    """The error of a view's features in pixels, and whether it is surely too large."""
+    errors, _, _ = offsets(matches, view, without)
+    if len(errors) < ENOUGH:
+        errors = _lines(matches, view, without)
+    return median(errors)[0], surely_off(errors)
+
+
+def _lines(matches: Matches, view: str, without: Sequence[str]) -> np.ndarray:
+    """Distances in pixels of a view's matches from epipolar lines."""
+    pairs = [pair.distance for pair in matches.pairs if view in (pair.a, pair.b) and not {pair.a, pair.b} & set(without)]
+    return np.concatenate(pairs) if pairs else np.zeros(0)
+
+
+def surely_off(errors: np.ndarray, least: float = OFF) -> bool:
+    """Whether errors [M] in pixels say that a pose is wrong: by their median, and without a peak at 0, which only a right pose has."""
+    middle, deviation = median(errors)
+    exact, around = (errors < EXACT).sum(), ((errors >= EXACT) & (errors < AROUND)).sum() * EXACT / (AROUND - EXACT)
+    return middle > least and bool(differs(middle - least, deviation, 0)) and exact - around < SURE * np.sqrt(around + 1)
 
 
 def offsets(matches: Matches, view: str, without: Sequence[str]) -> tuple[np.ndarray, np.ndarray, np.ndarray]:

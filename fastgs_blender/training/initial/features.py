@@ -29,6 +29,8 @@ ALIKE, RATIO = 0.8, 0.88
 """Least cosine of two matching descriptors, and the most that the next best may reach of the best one's distance."""
 LEAST_ANGLE, MOST_ANGLE = 2.0, 60.0
 """Degrees between the rays of a point, and between the viewing directions of two cameras that are compared."""
+APART = 4.0
+"""Pixels between two features from which they are of different things, and not one of two sizes."""
 NEIGHBOURS = 4
 """Cameras with which each one is compared where not all pairs are."""
 
@@ -114,6 +116,16 @@ def matches(a: Features, b: Features, within: float = ON_LINE) -> np.ndarray:
     good = np.flatnonzero(mutual & (top > ALIKE) & (distance < RATIO * next_distance))
     good = good[np.sort(np.unique(best[good], return_index=True)[1])]  # of equal ones, the first
     return np.stack([good, best[good]], 1)
+
+
+def alone(each: Features, apart: float = APART) -> np.ndarray:
+    """Distances [F] of descriptors from the most similar one that lies `apart` pixels or more away in the same picture."""
+    likeness = each.descriptors @ each.descriptors.T
+    near = np.ones(likeness.shape, bool)
+    for column in each.places.astype(np.float32).T:
+        near &= np.abs(column[:, None] - column) < apart
+    likeness[near] = -1
+    return np.sqrt(np.maximum(2 - 2 * likeness.max(1, initial=-1), 0))
 
 
 def neighbours(cameras: Iterable[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:

@@ -77,7 +77,8 @@ def test_a_good_capture_has_no_findings(good):
 def test_a_bumped_camera_is_named_and_its_turn_measured(faulty):
     found = told(faulty, "calibration")
     assert set(found) == {"cam05"} and found["cam05"].severity == "wrong" and faulty.bad
-    assert abs(faulty.sections["calibration"].measures["turned_degrees"]["cam05"] - 2) < 0.2 and "turned by 2" in found["cam05"].sentence
+    turn = faulty.sections["calibration"].measures["turned_degrees"]["cam05"]
+    assert abs(turn - 2) < 0.1 and f"turned by {turn:.1f}" in found["cam05"].sentence
     assert faulty.findings[0][1].views == ("cam05",), "the worst comes first"
 
 
