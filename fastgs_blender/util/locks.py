@@ -37,7 +37,7 @@ def acquire(path: str | os.PathLike, patience: float = 0.0) -> BinaryIO | None:
     while True:
         file = open(path, "a+b", opener=lambda name, _: regular_file(name, FLAGS))  # noqa: SIM115 (it is what is returned)
         try:
-            if _lock(file) and _is_at(file, path):
+            if _lock(file) and is_at(file, path):
                 return file
         except BaseException:
             file.close()
@@ -89,7 +89,7 @@ def is_locked(path: str | os.PathLike) -> bool:
             return False
 
 
-def _is_at(file: BinaryIO, path: str | os.PathLike) -> bool:
+def is_at(file: BinaryIO, path: str | os.PathLike) -> bool:
     """Whether an open file is the one at a path: the process that held it may have removed it."""
     try:
         return os.path.samestat(os.fstat(file.fileno()), os.stat(path))

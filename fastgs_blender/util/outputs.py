@@ -135,10 +135,11 @@ def _remove_dead(path: Path) -> None:
             except locks.NoLocks:
                 lock = open(os.devnull, "rb") if old else None  # noqa: SIM115 (closed below)
             if lock is not None:
-                if os.name == "nt":  # which removes no open file; elsewhere nobody can take it meanwhile
-                    lock.close()
-                shutil.rmtree(path, ignore_errors=True)
-                lock.close()
+                with lock:  # nobody else can take it meanwhile
+                    shutil.rmtree(path, ignore_errors=True)
+                    left = locks.is_at(lock, path / LOCK)  # Windows removes no open file
+                if left:
+                    shutil.rmtree(path, ignore_errors=True)
 
 
 def _ours(path: Path) -> bool:
