@@ -57,7 +57,8 @@ def run(inspection: Inspection) -> Section:
                     "others fit, or it is so beside a single camera: floors and walls that repeat themselves look like that.",
                     "Trust the calibration if its own report is good. Else put things with patterns of their own into the scene, and look "
                     "again.", unsure)
-    if not bad and np.isfinite(usual) and usual > OFF and 2 * len(unsure) < sum(miss > OFF for miss in error.values()):
+    sure = 2 * len(unsure) < sum(miss > OFF for miss in error.values())  # of most large errors: otherwise they may be wrong matches
+    if not bad and np.isfinite(usual) and usual > OFF and sure:
         section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
                     "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
                     "neither cropped, turned nor stabilised, and that lens correction in the cameras was the same as when they were "

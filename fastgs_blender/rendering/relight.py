@@ -130,7 +130,9 @@ class SceneLight:
         once = [lamp.light.parallel for lamp in self.lamps for _ in lamp.light.points] == [True]
         scene = Ways(backend, casting, self.meshes, once, self.moments)
         for number, lamp in enumerate(self.lamps):
-            done = partial(lambda share, number: progress((number + share) / len(self.lamps)), number=number)
+            def done(share: float, number: int = number) -> None:
+                progress((number + share) / len(self.lamps))
+
             total[self.levels[number]] += self._of_lamp(lamp, spots, scene, backend, done)
         return total
 
