@@ -36,6 +36,7 @@ class Appearance:
     code           how kernels and shaders know it
     recorded       the fields that a file records of it, beside arrays
     optional       those of them that a file may lack; they have their default then
+    unit           how much colour is added where its first three columns are 1 greater
     """
 
     name: ClassVar[str] = ""
@@ -44,6 +45,7 @@ class Appearance:
     degree: int  # of those with harmonics
     recorded: ClassVar[tuple[str, ...]] = ()
     optional: ClassVar[tuple[str, ...]] = ()
+    unit: ClassVar[float] = 1.0
 
     def features_of(self, rgb: np.ndarray) -> np.ndarray:
         """Features [N, F] that show the display colours rgb [N, 3] from everywhere and at all times."""
@@ -86,6 +88,7 @@ class SH(Appearance):
     name: ClassVar[str] = "sh"
     code: ClassVar[int] = 1
     recorded: ClassVar[tuple[str, ...]] = ("degree",)
+    unit: ClassVar[float] = SH_C0
     degree: int = 0
 
     def __post_init__(self) -> None:

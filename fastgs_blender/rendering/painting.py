@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from ..model.appearance import SH, SH_C0, Appearance, Changing, Features, decode, features_at, momentary
+from ..model.appearance import Appearance, Changing, Features, decode, features_at, momentary
 from ..model.slicing import positions_at
 from ..util.threads import PIECE, ranges
 from .colour import linear_to_srgb, srgb_to_linear
@@ -59,8 +59,7 @@ def painted(instance: ViewedInstance, index: np.ndarray, places: np.ndarray, lig
     for each in (gain, free)[:1 + drops]:
         seen = linear * each.T.astype(np.float32)
         out.append(features.copy())
-        out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / np.float32(
-            SH_C0 if isinstance(appearance, SH) else 1.0)
+        out[-1][:, :3] += ((seen if model.colour_space == "linear" else linear_to_srgb(seen)) - before) / np.float32(appearance.unit)
     takes = shadows * (captured * light[:, 0] / most + lamps * light[:, 3]) / np.maximum(free, 1e-12)
     numbers = np.concatenate([takes, *(shares_of(light[:, 0], light[:, stage])[:, None] for stage in (1, 3))], 1).T
     return out, numbers.astype(np.float32)[:len(index) * drops]

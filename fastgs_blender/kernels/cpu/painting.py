@@ -7,16 +7,14 @@ import math
 import numpy as np
 from numba import float32
 
-from ...model.appearance import ACTIVATIONS, SH, SH_C0, Changing, Features, features_at, momentary
+from ...model.appearance import ACTIVATIONS, Changing, Features, features_at, momentary
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
 from ...util.threads import portions, run
 from .. import asserts
+from .appearance import FEATURES, appear, direction_of
 from .decode import NONE, activate
 from .jit import inline, kernel
-from .project import FEATURES, _direction
-from .project import SH as HARMONICS
-from .spherical import sh_colour
-from .splats import CODES, plain
+from .splats import plain
 
 LEAST = float32(1e-12)
 """Light that counts as none."""
@@ -38,8 +36,8 @@ def painted(instance, index: np.ndarray, places: np.ndarray, light: np.ndarray, 
     rest = (rows, np.ascontiguousarray(features), instance.t - mu_tau, places, np.ascontiguousarray(light),
             np.empty((0, 3), np.float32) if unlit is None else np.ascontiguousarray(unlit, np.float32),
             tuple(float(share) for share in (settings.captured_light, settings.lamp_light / np.pi, settings.shadows)),
-            (CODES[type(look)], getattr(look, "degree", 0), activation, model.colour_space == "linear",
-             SH_C0 if isinstance(look, SH) else 1.0), *matrices, instance.camera_to_model[:3, 3].copy(), out, numbers)
+            (look.code, getattr(look, "degree", 0), activation, model.colour_space == "linear", look.unit),
+            *matrices, instance.camera_to_model[:3, 3].copy(), out, numbers)
     run(lambda first, last: paint(first, last, *rest), portions(len(index)))
     return list(out), numbers
 
@@ -53,18 +51,14 @@ def paint(first, last, index, features, age, places, light, unlit, shares, look,
     """
     kind, degree, activation, linear, unit = look
     captured, bright, shadows = float32(shares[0]), float32(shares[1]), float32(shares[2])
-    colour, terms, inputs = np.empty(3, np.float32), np.empty(25), np.empty(12, np.float32)
+    colour, terms, inputs = np.empty(9, np.float32), np.empty(25), np.empty(12, np.float32)
     for m in range(first, last):
         n = index[m]
-        x, y, z, _ = _direction(places[m, 0], places[m, 1], places[m, 2], eye, False)
-        if kind == HARMONICS:
-            sh_colour(features, n, degree, x, y, z, terms, colour)
-        else:
-            colour[0], colour[1], colour[2] = features[n, 0], features[n, 1], features[n, 2]
+        appear(kind, features, n, degree, places[m, 0], places[m, 1], places[m, 2], age[m], eye, False, terms, colour)
         if kind == FEATURES:
             for k in range(3):
-                inputs[k], inputs[3 + k], inputs[6 + k] = features[n, 3 + k], features[n, 6 + k] * age[m], eye[k]
-            inputs[9], inputs[10], inputs[11] = x, y, z
+                inputs[k], inputs[3 + k], inputs[6 + k] = colour[3 + k], colour[6 + k], eye[k]
+            inputs[9], inputs[10], inputs[11], _ = direction_of(places[m, 0], places[m, 1], places[m, 2], eye, False)
             add_decoded(inputs, w1, w2, colour)
         for g in range(len(out)):
             for k in range(features.shape[1]):

@@ -14,16 +14,15 @@ from numba import float32
 from ...rendering import oracle
 from ...rendering.instances import LIMIT
 from . import raster
+from .appearance import FEATURES, appear
 from .crop import crop_share, in_ball
 from .jit import inline, kernel
 from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .reaching import ROUNDING, before, extent, in_camera, put_boxes, rows_of
 from .sampling import PIXEL, blurs, far_squared
-from .spherical import sh_colour
 from .temporal import temporal_factor
 
-RGB, SH, FEATURES = range(3)
 REACH = oracle.REACH
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
 """Rows of what is made of eight Gaussians, after a splat's geometry."""
@@ -123,17 +122,6 @@ def _covariance(u, v, blur):
     normal0, normal1, normal2 = _cross(u, v)
     sharp = normal0 * normal0 + normal1 * normal1 + normal2 * normal2
     return s00 + blur, s01, s11 + blur, sharp, sharp + blur * (s00 + s11) + blur * blur
-
-
-@inline
-def _direction(px, py, pz, eye, orthographic):
-    """Unit direction in which a position is seen, and its length before."""
-    if orthographic:
-        dx, dy, dz = eye[0], eye[1], eye[2]
-    else:
-        dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
-    norm = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-30)
-    return dx / norm, dy / norm, dz / norm, norm
 
 
 @inline
@@ -246,7 +234,7 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
     fx, fy, _, _, _, _, _, _, _, _, left, right, top, bottom = lens
     trained_blur, alpha_max, alpha_cut, antialiased, orthographic, sampling, bends = constants
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
-    terms, colour, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(3), rows_of(view)
+    terms, shown, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(9), rows_of(view)
     log2_cut, sized, graded, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, sampling[0][PIXEL] > 0.0
     made, out = np.empty((PLANE + 3, LANES)), row
     for k in range(0, count, LANES):
@@ -325,23 +313,16 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
             if not lanes >> lane & 1:
                 continue
             i = number[k + lane]
-            if appearance == SH:
-                dx, dy, dz, _ = _direction(found[1, k + lane], found[2, k + lane], found[3, k + lane], eye, orthographic)
-                sh_colour(features, i, degree, dx, dy, dz, terms, colour)
-            elif graded:
-                for c in range(3):
-                    colour[c] = features[i, c]
+            appear(appearance, features, i, degree, found[1, k + lane], found[2, k + lane], found[3, k + lane], made[DELTA, lane], eye,
+                   orthographic, terms, shown)
             if graded:
-                grade(colour, look)
+                grade(shown, look)
             good = True
             for c in range(raster.CHANNEL, attributes.shape[1]):
                 attributes[out, c] = float32(0.0)
             for c in range(9 if appearance == FEATURES else 3):
-                value = colour[c] if appearance == SH or graded else np.float64(features[i, c])
-                if c >= 6:
-                    value *= made[DELTA, lane]
-                good = good and abs(value) <= LIMIT
-                attributes[out, raster.CHANNEL + channel + c] = value
+                good = good and abs(shown[c]) <= LIMIT
+                attributes[out, raster.CHANNEL + channel + c] = shown[c]
             if not good:
                 continue
             if weight_channel >= 0:

@@ -11,24 +11,10 @@ import numpy as np
 from numba import float32
 
 from . import raster
+from .appearance import appear_backward
 from .jit import inline, kernel
 from .lanes import exp
-from .project import (
-    FEATURES,
-    SCALE,
-    SH,
-    _axes,
-    _covariance,
-    _cross,
-    _direction,
-    _moved3,
-    _moved4,
-    _project_axis,
-    _quaternion,
-    _shear,
-    rows_of,
-)
-from .spherical import sh_colour, sh_slope
+from .project import SCALE, _axes, _covariance, _cross, _moved3, _moved4, _project_axis, _quaternion, _shear, rows_of
 from .temporal import temporal_slope
 
 PER_LN2 = 1.0 / math.log(2.0)
@@ -215,30 +201,9 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
                       row0[2] * gx + row1[2] * gy + row2[2] * gz)
 
         # colour
-        g_delta = 0.0
-        if appearance == SH:
-            dx, dy, dz, distance = _direction(px, py, pz, eye, orthographic)
-            sh_colour(features, n, degree, dx, dy, dz, terms, colour)
-            red = np.float64(g_channels[row, channel]) if colour[0] > 0.0 else 0.0
-            green = np.float64(g_channels[row, channel + 1]) if colour[1] > 0.0 else 0.0
-            blue = np.float64(g_channels[row, channel + 2]) if colour[2] > 0.0 else 0.0
-            for b in range((degree + 1) * (degree + 1)):
-                along = red * features[n, 3 * b] + green * features[n, 3 * b + 1] + blue * features[n, 3 * b + 2]
-                g_features[n, 3 * b], g_features[n, 3 * b + 1], g_features[n, 3 * b + 2] = terms[b] * red, terms[b] * green, terms[b] * blue
-                terms[b] = along
-            if not orthographic:
-                hx, hy, hz = sh_slope(degree, dx, dy, dz, terms)
-                along = hx * dx + hy * dy + hz * dz
-                gx += (hx - along * dx) / distance
-                gy += (hy - along * dy) / distance
-                gz += (hz - along * dz) / distance
-        else:
-            for c in range(9 if appearance == FEATURES else 3):
-                g = np.float64(g_channels[row, channel + c])
-                if c >= 6:
-                    g_delta += g * features[n, c]
-                    g *= delta
-                g_features[n, c] = g
+        by_x, by_y, by_z, g_delta = appear_backward(appearance, features, n, degree, px, py, pz, delta, eye, orthographic, g_channels, row,
+                                                    channel, terms, colour, g_features)
+        gx, gy, gz = gx + by_x, gy + by_y, gz + by_z
 
         # time
         g_position[n, 0], g_position[n, 1], g_position[n, 2] = gx, gy, gz

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import RGB, SH, Changing, Features, features_at, momentary
+from ...model.appearance import Changing, Features, features_at, momentary
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
@@ -22,8 +22,6 @@ from .project_backward import project_backward as project_rows_backward
 from .rasterise import RasterGradients
 from .reaching import NOWHERE
 from .sort import order_by
-
-CODES = {RGB: project.RGB, SH: project.SH, Features: project.FEATURES}
 
 GAUSSIANS = 65_536
 """Gaussians in one piece of work, at most: it takes two kernels, and calling these takes some 20 us each."""
@@ -137,7 +135,7 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, instance.far, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r, look, own = model.raster, momentary(model.appearance), model.arrays
-    eye = instance.camera_to_model[:3, 2 if camera.orthographic else 3] if isinstance(look, SH) else np.zeros(3)
+    eye = instance.camera_to_model[:3, 2 if camera.orthographic else 3]
     if isinstance(model.appearance, Changing):
         own = own | {"features": features_at(model.appearance, model.features, instance.t, model.mu_tau).astype(np.float32)}
     return (
@@ -146,7 +144,7 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
         np.concatenate([to_camera[:3, :3], to_camera[None, :3, 3], eye[None]]), tuple(float(v) for v in lens),
         (float(r.blur), float(r.alpha_max), float(r.alpha_cut), bool(r.antialiased), bool(camera.orthographic),
          (instance.sampling.row, instance.sampling.cameras), bool(instance.settings.bends)),
-        (CODES[type(look)], getattr(look, "degree", 0), group.offset,
+        (look.code, getattr(look, "degree", 0), group.offset,
          -1 if group.weight is None else group.weight, -1 if layout.depth is None else layout.depth,
          (-1 if layout.plane is None else layout.plane, camera.width / 2, camera.height / 2, layout.by_pixel)),
     )

@@ -6,7 +6,7 @@ Geometry (32 bits), in this order:
     position, logit opacity | quaternion w x y z | ln scale, mu_tau | temporal parameters, if there are any
     one texel for each term of the rotation | for x, then y, then z: the motion's terms in groups of four
 
-Colour (16 bits): r g b | spherical harmonics, tightly: three texels hold four coefficients | base | direction | time.
+Colour (16 bits): the features, three in a texel; of spherical harmonics tightly: three texels hold four coefficients.
 Colours that change in time have as much again for each term of their basis.
 The shaders (splat.py) read it.
 """
@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from ...model.appearance import RGB, SH, SH_C0, Changing, Features, momentary
+from ...model.appearance import RGB, SH, SH_C0, Changing, momentary
 from ...model.gaussians import GaussianModel
 from ...model.motion import Basis, Static
 
@@ -31,6 +31,7 @@ class TexelLayout:
     temporal        whether there is a texel of temporal parameters
     colours         the code of the appearance; harmonics without degree are RGB
     degree          of the harmonics
+    moment          texels of one Gaussian's constant colour, and of each of its terms
     changes         terms of the colours' basis
     """
 
@@ -40,7 +41,8 @@ class TexelLayout:
     temporal: bool
     colours: int
     degree: int
-    changes: int = 0
+    moment: int
+    changes: int
 
     @property
     def geometry(self) -> int:
@@ -51,11 +53,6 @@ class TexelLayout:
     def colour(self) -> int:
         """Texels of one Gaussian's colour."""
         return self.moment * (1 + self.changes)
-
-    @property
-    def moment(self) -> int:
-        """Texels of one Gaussian's constant colour, and of each of its terms."""
-        return {RGB.code: 1, SH.code: 3 * -(-((self.degree + 1) ** 2) // 4), Features.code: 3}[self.colours]
 
 
 @dataclass(frozen=True)
@@ -73,7 +70,7 @@ def layout_of(model: GaussianModel) -> TexelLayout:
     degree = getattr(appearance, "degree", 0)
     colours = RGB.code if isinstance(appearance, SH) and not degree and not changes else appearance.code
     return TexelLayout(model.basis.terms, -(-model.basis.terms // 4), model.rotation_basis.terms, model.temporal_kind.width > 0,
-                       colours, degree, changes)
+                       colours, degree, 3 * -(-appearance.width // 12) if colours == SH.code else appearance.width // 3, changes)
 
 
 def changes_of(model: GaussianModel) -> Basis:
@@ -118,9 +115,7 @@ def write_colour(model: GaussianModel, out: np.ndarray) -> None:
     features = np.nan_to_num(model.features, nan=0, posinf=0, neginf=0)
     if p.colours == SH.code:
         out.reshape(n, 1 + p.changes, -1)[..., :appearance.width] = features.reshape(n, 1 + p.changes, appearance.width)
-    elif p.colours == Features.code:
-        out[:, :, :3] = features.reshape(n, 3, 3)
     elif isinstance(appearance, SH):
         out[:, 0, :3] = np.maximum(0, 0.5 + SH_C0 * features)
     else:
-        out[..., :3] = features.reshape(n, 1 + p.changes, 3)
+        out[..., :3] = features.reshape(n, p.colour, 3)

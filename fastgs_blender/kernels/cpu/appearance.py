@@ -1,0 +1,67 @@
+# SPDX-License-Identifier: GPL-3.0-or-later
+"""What one Gaussian adds to a picture, and its gradient, as model/appearance.py states it (seen): a colour, or a decoder's features."""
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from ...model.appearance import SH as HARMONICS
+from ...model.appearance import Features
+from .jit import inline
+from .spherical import sh_colour, sh_slope
+
+SH, FEATURES = HARMONICS.code, Features.code
+
+
+@inline
+def direction_of(px, py, pz, eye, orthographic):
+    """Unit direction in which a position is seen, and its length before."""
+    if orthographic:
+        dx, dy, dz = eye[0], eye[1], eye[2]
+    else:
+        dx, dy, dz = px - eye[0], py - eye[1], pz - eye[2]
+    norm = max(math.sqrt(dx * dx + dy * dy + dz * dz), 1e-30)
+    return dx / norm, dy / norm, dz / norm, norm
+
+
+@inline
+def appear(code, features, n, degree, px, py, pz, delta, eye, orthographic, terms, out):
+    """Write the colour of features[n] into out [9], or a decoder's features, of a Gaussian at (px, py, pz) at an age delta.
+
+    terms [25]: room to work.
+    """
+    if code == SH:
+        dx, dy, dz, _ = direction_of(px, py, pz, eye, orthographic)
+        sh_colour(features, n, degree, dx, dy, dz, terms, out)
+        return
+    for c in range(9 if code == FEATURES else 3):
+        out[c] = features[n, c] * delta if c >= 6 else features[n, c]
+
+
+@inline
+def appear_backward(code, features, n, degree, px, py, pz, delta, eye, orthographic, g, row, channel, terms, colour, out):
+    """From the gradient g[row, channel ...] of what appear() gave: writes that of the features, returns those of the position and delta."""
+    gx, gy, gz, g_delta = 0.0, 0.0, 0.0, 0.0
+    if code == SH:
+        dx, dy, dz, distance = direction_of(px, py, pz, eye, orthographic)
+        sh_colour(features, n, degree, dx, dy, dz, terms, colour)
+        red = np.float64(g[row, channel]) if colour[0] > 0.0 else 0.0
+        green = np.float64(g[row, channel + 1]) if colour[1] > 0.0 else 0.0
+        blue = np.float64(g[row, channel + 2]) if colour[2] > 0.0 else 0.0
+        for b in range((degree + 1) * (degree + 1)):
+            along = red * features[n, 3 * b] + green * features[n, 3 * b + 1] + blue * features[n, 3 * b + 2]
+            out[n, 3 * b], out[n, 3 * b + 1], out[n, 3 * b + 2] = terms[b] * red, terms[b] * green, terms[b] * blue
+            terms[b] = along
+        if not orthographic:
+            hx, hy, hz = sh_slope(degree, dx, dy, dz, terms)
+            along = hx * dx + hy * dy + hz * dz
+            gx, gy, gz = (hx - along * dx) / distance, (hy - along * dy) / distance, (hz - along * dz) / distance
+    else:
+        for c in range(9 if code == FEATURES else 3):
+            slope = np.float64(g[row, channel + c])
+            if c >= 6:
+                g_delta += slope * features[n, c]
+                slope *= delta
+            out[n, c] = slope
+    return gx, gy, gz, g_delta
