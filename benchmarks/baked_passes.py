@@ -62,7 +62,7 @@ def moved(points: np.ndarray, share: float) -> np.ndarray:
 
 def truth(now: np.ndarray, following: np.ndarray, triangles: np.ndarray, camera: fg.Camera):
     """(depth [h, w], inf where nothing is; normal [h, w, 3]; motion to the next frame [h, w, 2]) of the mesh at the pixels' centres."""
-    view = now @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    view = camera.local(now)
     to_world = camera.world_to_camera[:3, :3]
     after = camera.pixels(following @ to_world.T + camera.world_to_camera[:3, 3])
     pixels, depth = camera.pixels(view), np.full((camera.height, camera.width), np.inf)

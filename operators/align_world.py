@@ -7,11 +7,11 @@ from mathutils import Vector
 
 from ..fastgs_blender.cameras import upright
 from ..fastgs_blender.util.errors import FastGSError
+from ..fastgs_blender.util.rotations import transformed
 from ..scene import arrays
 from ..scene.camera import OPENCV
 from ..scene.cameras.subjects import capture_cameras
 from ..scene.cameras.worlds import is_world, move, points, targets
-from ..scene.model_space import mapped
 from .action import Action, Need
 
 LOWEST = 2.0
@@ -73,7 +73,7 @@ class FASTGS_OT_set_ground(_Align, bpy.types.Operator):
     def _places(self, worlds) -> np.ndarray:
         """Points [n, 3] of the splats' proxies in the world."""
         return np.concatenate([np.zeros((0, 3)), *(
-            mapped(arrays.points(obj.data), np.array(obj.matrix_world)) for obj in worlds if obj.type == 'MESH')])
+            transformed(arrays.points(obj.data), np.array(obj.matrix_world)) for obj in worlds if obj.type == 'MESH')])
 
     def _middle(self, worlds):
         corners = [obj.matrix_world @ Vector(c) for obj in worlds if obj.type == 'MESH' for c in obj.bound_box]

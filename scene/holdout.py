@@ -4,6 +4,7 @@ import functools
 
 import numpy as np
 
+from ..fastgs_blender.util.rotations import transformed
 from . import arrays, objects
 
 THROUGH = {'ShaderNodeBsdfTransparent', 'ShaderNodeBsdfGlass', 'ShaderNodeBsdfRefraction'}
@@ -88,7 +89,7 @@ def surfaces(depsgraph, wanted=lambda obj, maker: True, ray: str = "visible_came
         key = obj.data.as_pointer()
         if key not in local:
             local[key] = own_triangles(obj)
-        yield obj, maker, (local[key] @ matrix[:3, :3].T + matrix[:3, 3]).astype(np.float32)
+        yield obj, maker, transformed(local[key], matrix).astype(np.float32)
 
 
 def own_triangles(obj) -> np.ndarray:

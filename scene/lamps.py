@@ -5,6 +5,7 @@ import numpy as np
 from ..fastgs_blender.rendering.lamps import Lamp, cone, dome, flat, panorama
 from ..fastgs_blender.rendering.passes import LAMPS
 from ..fastgs_blender.rendering.relight import SceneLight
+from ..fastgs_blender.util.rotations import transformed
 from . import colour, holdout, objects, shadows, sky, world
 from .light_linking import Links
 
@@ -30,7 +31,7 @@ def surfaces(depsgraph) -> dict[str, np.ndarray]:
             evaluated = obj.evaluated_get(depsgraph)
             if evaluated.is_evaluated and not evaluated.hide_render:
                 matrix = np.array(evaluated.matrix_world, np.float64)
-                triangles = holdout.own_triangles(evaluated) @ matrix[:3, :3].T + matrix[:3, 3]
+                triangles = transformed(holdout.own_triangles(evaluated), matrix)
                 if len(triangles) and np.isfinite(triangles).all():
                     found.setdefault(obj.fastgs.surface_of.name, []).append(triangles)
     return {name: np.concatenate(parts) for name, parts in found.items()}

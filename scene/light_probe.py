@@ -15,6 +15,7 @@ import bpy
 import numpy as np
 
 from ..fastgs_blender.util.picture_files import write_exr
+from ..fastgs_blender.util.rotations import transformed
 from . import sky
 from .node_trees import Builder
 
@@ -61,7 +62,7 @@ def add(context, mesh=None) -> bpy.types.Object:
         probe.location = context.scene.cursor.location
         return probe
     context.view_layer.update()
-    corners = np.array(mesh.bound_box) @ np.array(mesh.matrix_world)[:3, :3].T + np.array(mesh.matrix_world)[:3, 3]
+    corners = transformed(np.array(mesh.bound_box), np.array(mesh.matrix_world))
     probe.location = (corners.min(0) + corners.max(0)) / 2
     probe.empty_display_size = float(np.ptp(corners, axis=0).max()) / 2 or 0.25
     probe.parent, probe.matrix_parent_inverse = mesh, mesh.matrix_world.inverted_safe()

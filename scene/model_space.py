@@ -56,7 +56,7 @@ def write(mesh, place: np.ndarray, matrix: np.ndarray) -> None:
     if mesh.attributes.get(PLACE) is not None:
         mesh.attributes.remove(mesh.attributes[PLACE])
     mesh.attributes.new(PLACE, 'FLOAT_VECTOR', 'POINT').data.foreach_set("vector", place.astype(np.float32).ravel())
-    mesh.vertices.foreach_set("co", mapped(place, matrix).astype(np.float32).ravel())
+    mesh.vertices.foreach_set("co", rotations.transformed(place, matrix).astype(np.float32).ravel())
     _known[mesh.session_uid] = np.array(matrix, np.float64)
 
 
@@ -66,11 +66,6 @@ def set_model_matrix(obj, matrix: np.ndarray) -> None:
     if pairs is not None:
         write(obj.data, pairs[0], matrix)
         obj.data.update()
-
-
-def mapped(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
-    """Points [M, 3] by a matrix [4, 4]."""
-    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def misplaced(mesh) -> bool:
@@ -120,7 +115,7 @@ def _least_squares(place, at):
 
 
 def _away(place, at, matrix):
-    return np.abs(mapped(place.astype(np.float64), matrix) - at).max(1)
+    return np.abs(rotations.transformed(place.astype(np.float64), matrix) - at).max(1)
 
 
 def _extent(points) -> float:

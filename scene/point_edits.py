@@ -18,6 +18,7 @@ from ..fastgs_blender.model.edits import Edit, State, state_of
 from ..fastgs_blender.model.gaussians import GaussianModel
 from ..fastgs_blender.rendering.colour import linear_to_srgb, srgb_to_linear
 from ..fastgs_blender.util.errors import FastGSError
+from ..fastgs_blender.util.rotations import transformed
 from . import arrays, model_space, proxies
 from .colour import rec709_to_working
 
@@ -156,7 +157,7 @@ def given(now: State, matrix: np.ndarray, model: GaussianModel, working: np.ndar
     colour = np.clip(now.colour, 0, LARGEST_COLOUR)
     linear = colour if model.colour_space == "linear" else srgb_to_linear(colour)
     return {
-        "position": model_space.mapped(now.position, matrix).astype(np.float32), SCALE: now.scale * size, OPACITY: now.opacity,
+        "position": transformed(now.position, matrix).astype(np.float32), SCALE: now.scale * size, OPACITY: now.opacity,
         COLOR: (linear @ working.T).astype(np.float32), VELOCITY: (now.velocity @ matrix[:3, :3].T).astype(np.float32), AGE: now.age,
     }
 

@@ -11,6 +11,7 @@ import gpu
 import numpy as np
 from gpu_extras.batch import batch_for_shader
 
+from ...fastgs_blender.util.rotations import transformed
 from . import shaders
 
 VERTEX = """
@@ -55,7 +56,7 @@ def draw(context, depsgraph) -> None:
             if texture is not None:
                 place = np.array(obj.matrix_world.normalized())
                 size = scene.fastgs.picture_size * growth(obj)
-                draw_picture(texture, plane(obj.data, scene, size) @ place[:3, :3].T + place[:3, 3], region.perspective_matrix,
+                draw_picture(texture, transformed(plane(obj.data, scene, size), place), region.perspective_matrix,
                              is_straight(obj.original.data))
 
 

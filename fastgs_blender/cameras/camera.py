@@ -10,6 +10,7 @@ import numpy as np
 
 from ..util.arguments import integer, numbers, real, shown
 from ..util.errors import FastGSError
+from ..util.rotations import transformed
 
 LARGEST_SIDE = 65_536
 """Pixels of the longer side of a picture that a file may claim."""
@@ -98,6 +99,10 @@ class Camera:
         y = sorted((-self.cy / self.fy - my, (self.height - self.cy) / self.fy + my))
         return x[0], x[1], y[0], y[1]
 
+    def local(self, points: np.ndarray) -> np.ndarray:
+        """Places [..., 3] in the camera's axes of points [..., 3] of the world."""
+        return transformed(points, self.world_to_camera)
+
     def pixels(self, points: np.ndarray) -> np.ndarray:
         """Pixels [..., 2] of the image, from its top left corner, of points [..., 3] in the camera's axes; NaN behind the camera."""
         depth = np.ones_like(points[..., 2:]) if self.orthographic else np.where(points[..., 2:] > 0, points[..., 2:], np.nan)
@@ -114,8 +119,7 @@ class Camera:
         spread = np.ones_like(depth) if self.orthographic else depth
         u, v = (x + self.width / 2 - self.cx) / self.fx, (y + self.height / 2 - self.cy) / self.fy
         points = np.stack([u * spread, v[:, None] * spread, depth], -1)
-        camera_to_world = np.linalg.pinv(self.world_to_camera)
-        return points @ camera_to_world[:3, :3].T + camera_to_world[:3, 3]
+        return transformed(points, np.linalg.pinv(self.world_to_camera))
 
     def rays(self, model_to_camera: np.ndarray) -> Rays:
         """Camera centre [3] and unit ray directions [h, w, 3] through the window's pixel centres, in model space (model_to_camera [4, 4]).

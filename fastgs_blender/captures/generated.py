@@ -8,6 +8,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..rendering.cryptomatte import in_pictures
+from ..util.rotations import transformed
 
 
 def directions(count: int, rig: str = "dome") -> np.ndarray:
@@ -53,8 +54,7 @@ def unproject(camera: Camera, depth: np.ndarray, rows: np.ndarray, columns: np.n
     z = depth[rows, columns].astype(np.float64)
     x = (columns + 0.5 - camera.cx) / camera.fx * z
     y = (rows + 0.5 - camera.cy) / camera.fy * z
-    inverse = np.linalg.inv(camera.world_to_camera)
-    return np.stack([x, y, z], 1) @ inverse[:3, :3].T + inverse[:3, 3]
+    return transformed(np.stack([x, y, z], 1), np.linalg.inv(camera.world_to_camera))
 
 
 def write_points(path: Path, xyz: np.ndarray, rgb: np.ndarray, t: np.ndarray) -> None:

@@ -60,7 +60,7 @@ class Space:
         flat = max(float((camera.world_to_camera @ [*self.middle, 1])[2]), 1e-6)
         if not self.known:
             return np.full(len(places), flat)
-        local = self.points @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        local = camera.local(self.points)
         pixels, seen = camera.pixels(local), self.within(view, self.points)
         if seen.sum() < NEAREST:
             return np.full(len(places), flat)
@@ -107,7 +107,7 @@ class Space:
     def within(self, view: str, xyz: np.ndarray) -> np.ndarray:
         """Which of the points [P, 3] a view has in its picture."""
         camera = self.cameras[view]
-        pixels = camera.pixels(xyz @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3])
+        pixels = camera.pixels(camera.local(xyz))
         return np.isfinite(pixels).all(1) & (pixels > 0).all(1) & (pixels < (camera.width, camera.height)).all(1)
 
     def seen(self, xyz: np.ndarray, without: str = "") -> np.ndarray:

@@ -39,7 +39,7 @@ def contact(meshes: np.ndarray | None, places: np.ndarray, normals: np.ndarray, 
         share = np.maximum(normals[rows] @ towards, 0)
         whole += share
         camera = parallel_camera(towards, *box, PIXELS)
-        before = place @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        before = camera.local(place)
         x, y = camera.pixels(before).T - 0.5
         gap = before[:, 2] - bias
         depth = backend.numpy(backend.surface(near, camera)).astype(np.float64)

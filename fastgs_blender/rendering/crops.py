@@ -9,6 +9,7 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..model.slicing import opacities_at, positions_at
 from ..util.errors import FastGSError
+from ..util.rotations import transformed
 from .volumes import Volume
 
 BOX, SPHERE, VOLUME = range(3)
@@ -52,7 +53,7 @@ class Crop:
     def share(self, position: np.ndarray) -> np.ndarray:
         """How much positions [M, 3] in the model's space lie within the shape: [M], 0..1."""
         matrix = np.asarray(self.matrix, np.float64)
-        x = position @ matrix[:3, :3].T + matrix[:3, 3]
+        x = transformed(position, matrix)
         if isinstance(self.shape, Volume):
             depth = self.shape.depth_at(x)
         else:

@@ -4,6 +4,7 @@ import numpy as np
 
 from ..cameras.camera import Camera
 from ..model.slicing import positions_at, sigmoid
+from ..util.rotations import transformed
 from .crops import crop_share
 from .instances import ViewedInstance
 from .looks import Look, size_factor
@@ -70,7 +71,7 @@ def _visible(instance: ViewedInstance, camera: Camera) -> tuple[np.ndarray, np.n
         at = np.flatnonzero(kept)
         to_camera = instance.model_to_camera
         position = positions_at(model, instance.t, at)
-        p = position @ to_camera[:3, :3].T + to_camera[:3, 3]
+        p = transformed(position, to_camera)
         z = p[:, 2]
         per_depth = np.ones_like(z) if camera.orthographic else 1 / z
         centre = p[:, :2] * (camera.fx, camera.fy) * per_depth[:, None] + (camera.cx, camera.cy)

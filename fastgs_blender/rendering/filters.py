@@ -119,7 +119,7 @@ def _cameras(model: GaussianModel, _: Any) -> np.ndarray:
 
 def _in_picture(camera: Any, position: np.ndarray) -> np.ndarray:
     """Whether a camera has points [M, 3] in its picture: [M] bool."""
-    view = position @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    view = camera.local(position)
     at = camera.pixels(view)
     return (view[:, 2] > 0) & ((at >= 0) & (at <= (camera.width, camera.height))).all(1)
 

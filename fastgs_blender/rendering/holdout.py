@@ -60,7 +60,7 @@ def sample_depths(triangles: np.ndarray, camera: Camera) -> np.ndarray:
     near, nearness = max(camera.near, NEAREST), np.zeros((height, width, SAMPLES))
     x = x0 + np.arange(width)[:, None] + points()[:, 0]
     y = y0 + np.arange(height)[:, None] + points()[:, 1]
-    for corners in triangles.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]:
+    for corners in camera.local(triangles.astype(np.float64)):
         for part in before_the_camera(corners, near):
             depth = part[:, 2]
             scale = 1.0 if camera.orthographic else 1 / depth

@@ -48,7 +48,7 @@ def past_triangles(triangles: np.ndarray, camera: Camera, points: np.ndarray, ov
     """0 for those points [3, P] of the world before which one of the triangles [F, 3, 3] lies, by over [P], else 1: [P] float32."""
     pixels, depth = _seen(camera, points, over)
     out = np.ones(points.shape[1], np.float32)
-    for corners in triangles.astype(np.float64) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]:
+    for corners in camera.local(triangles.astype(np.float64)):
         for part in before_the_camera(corners, max(camera.near, NEAREST)):
             to = camera.pixels(part)[None] - pixels[:, None]
             edges = [(to[:, i], to[:, j]) for i, j in ((1, 2), (2, 0), (0, 1))]
@@ -65,6 +65,6 @@ def past_triangles(triangles: np.ndarray, camera: Camera, points: np.ndarray, ov
 
 def _seen(camera: Camera, points: np.ndarray, over: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
     """The pixels [P, 2] of points, and the depths [P] before which things lie that stop light; -inf behind the camera."""
-    view = points.T @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+    view = camera.local(points.T)
     with np.errstate(all="ignore"):
         return camera.pixels(view), np.where(view[:, 2] > BEHIND, view[:, 2] - over, -np.inf)

@@ -297,7 +297,7 @@ def _corners(instances: Sequence[Instance]) -> np.ndarray:
     for instance in instances:
         low, high = _bounds(instance.model.position.T).astype(np.float64)
         middle, half = (low + high) / 2, high - low
-        found.append((middle + _SIGNS * half) @ instance.placement[:3, :3].T + instance.placement[:3, 3])
+        found.append(rotations.transformed(middle + _SIGNS * half, instance.placement))
     return np.concatenate(found)
 
 

@@ -9,6 +9,7 @@ from ..model.slicing import positions_at
 from ..rendering.api import render
 from ..rendering.instances import Instance, ViewedInstance
 from ..rendering.visibility import order
+from ..util.rotations import transformed
 from .light import Light, small
 
 SEEN, SHARE = 0.3, 0.1
@@ -154,10 +155,10 @@ def _holds(instance: ViewedInstance, camera: Camera, shape: Shape, index: np.nda
     """Which of the Gaussians of an instance have their centres in a shape: [len(index)] bool."""
     position = positions_at(instance.model, instance.t, index)
     if isinstance(shape, Ball):
-        world = position @ instance.placement[:3, :3].T + instance.placement[:3, 3]
+        world = transformed(position, instance.placement)
         return ((world - shape.centre) ** 2).sum(1) <= shape.radius**2
     to_camera = instance.model_to_camera
-    return shape.holds(camera.pixels(position @ to_camera[:3, :3].T + to_camera[:3, 3]))
+    return shape.holds(camera.pixels(transformed(position, to_camera)))
 
 
 def _mask(shape: Shape, camera: Camera, light: Light) -> np.ndarray:

@@ -137,7 +137,7 @@ def _sighted(model: GaussianModel, progress: Callable[[float], None]) -> Sightin
     for k, (number, camera, t) in enumerate(series):
         if not k or series[k - 1].number != number:
             lit, could = np.zeros(n, bool), np.zeros(n, bool)
-        place = np.nan_to_num(positions_at(model, t)) @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]
+        place = camera.local(np.nan_to_num(positions_at(model, t)))
         pixels = shown * abs(camera.fx * camera.fy) / np.maximum((place**2).sum(1), CLOSE)
         light, inverse, change = _weights(model, opacity, camera, t, k, backend)
         best, area = np.maximum(best, light), np.maximum(area, np.minimum(pixels, MOST)).astype(np.float32)

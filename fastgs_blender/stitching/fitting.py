@@ -15,7 +15,7 @@ import numpy as np
 
 from ..rendering.instances import Instance
 from ..util.errors import FastGSError
-from ..util.rotations import exp, to_matrices, transform
+from ..util.rotations import exp, to_matrices, transform, transformed
 from .em_icp import em_icp
 from .similarity import Similarity
 from .skins import Cells, moved, skin
@@ -208,12 +208,12 @@ def _pairs(moving: Cells, fixed: Cells, motion: np.ndarray, reach: float) -> tup
     weights [M].
     """
     rows = [np.arange(0, len(cells.keys), max(len(cells.keys) // SAMPLE, 1)) for cells in (moving, fixed)]
-    place = moving.place @ motion[:3, :3].T + motion[:3, 3]
+    place = transformed(moving.place, motion)
     factor = np.cbrt(np.linalg.det(motion[:3, :3]))
     normals = moving.normal @ motion[:3, :3].T / factor
     there, _ = fixed.nearest(place[rows[0]])
     back = np.linalg.inv(motion)
-    here, _ = moving.nearest(fixed.place[rows[1]] @ back[:3, :3].T + back[:3, 3])
+    here, _ = moving.nearest(transformed(fixed.place[rows[1]], back))
     i, j = np.concatenate([rows[0], here]), np.concatenate([there, rows[1]])
     across = np.concatenate([fixed.normal[there], normals[here]])
     off = place[i] - fixed.place[j]

@@ -17,7 +17,7 @@ from ..rendering.crops import kept_by
 from ..rendering.filters import base_colours
 from ..rendering.instances import Instance
 from ..util.errors import FastGSError
-from ..util.rotations import to_matrices
+from ..util.rotations import to_matrices, transformed
 
 SOLID = 0.3
 """Opacity from which on a Gaussian is part of a surface."""
@@ -73,12 +73,12 @@ def skin(instance: Instance) -> np.ndarray:
     matrix = instance.placement
     colour = np.nan_to_num(base_colours(model.take(now.index[rows])).astype(np.float64))[which]
     colour = (colour - colour.mean(0)) / np.maximum(colour.std(0), 0.02)
-    return np.concatenate([points @ matrix[:3, :3].T + matrix[:3, 3], np.clip(colour, -3, 3)], 1)
+    return np.concatenate([transformed(points, matrix), np.clip(colour, -3, 3)], 1)
 
 
 def moved(points: np.ndarray, motion: np.ndarray) -> np.ndarray:
     """Points [P, 3 or more], the first three columns moved by a matrix [4, 4]."""
-    return np.concatenate([points[:, :3] @ motion[:3, :3].T + motion[:3, 3], points[:, 3:]], 1)
+    return np.concatenate([transformed(points[:, :3], motion), points[:, 3:]], 1)
 
 
 def _named(instance: Instance) -> str:

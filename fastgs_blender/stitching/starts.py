@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from ..util.rotations import transformed
 from .em_icp import spread
 from .skins import Cells
 
@@ -57,8 +58,8 @@ def starts(moving: np.ndarray, fixed: np.ndarray, scale: bool, progress: Callabl
     some = moving[:: max(len(moving) // 300, 1), :3]
     chosen: list[np.ndarray] = []
     for _, motion in found:
-        moved = some @ motion[:3, :3].T + motion[:3, 3]
-        if all(np.linalg.norm(moved - (some @ m[:3, :3].T + m[:3, 3]), axis=1).mean() > 0.15 * spread_b for m in chosen):
+        moved = transformed(some, motion)
+        if all(np.linalg.norm(moved - transformed(some, m), axis=1).mean() > 0.15 * spread_b for m in chosen):
             chosen.append(motion)
         if len(chosen) == BEST:
             break

@@ -52,7 +52,7 @@ def _seen(x: np.ndarray, still: GaussianModel, view: Viewpoint, subject: Subject
     passes = render(still, camera, passes=["alpha", "median_depth"])
     depth = np.pad(np.where(passes["alpha"] >= SOLID, passes["median_depth"], -np.inf), 1, constant_values=-np.inf)
     behind = np.max([depth[i:i + camera.height, j:j + camera.width] for i in range(3) for j in range(3)], axis=0)
-    column, row, z = (x @ camera.world_to_camera[:3, :3].T + camera.world_to_camera[:3, 3]).T
+    column, row, z = camera.local(x).T
     with np.errstate(divide="ignore", invalid="ignore"):
         column, row = camera.fx * column / z + camera.cx, camera.fy * row / z + camera.cy
         inside = (z > 0) & (column >= 0) & (row >= 0) & (column < camera.width) & (row < camera.height)

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rotations as unit quaternions w x y z and as matrices, in float64; the kernels have the same formulas, fused.
+"""Rotations as unit quaternions w x y z and as matrices [4, 4], in float64; the kernels have the same formulas, fused.
 
 A quaternion and its negative are the same rotation.  Products read from right to left, like those of matrices.
 """
@@ -32,6 +32,11 @@ def transform(linear: ArrayLike, shift: ArrayLike = (0, 0, 0)) -> np.ndarray:
     matrix = np.eye(4)
     matrix[:3, :3], matrix[:3, 3] = linear, shift
     return matrix
+
+
+def transformed(points: np.ndarray, matrix: np.ndarray) -> np.ndarray:
+    """Points [..., 3] by a matrix [4, 4]."""
+    return points @ matrix[:3, :3].T + matrix[:3, 3]
 
 
 def from_matrices(matrices: np.ndarray) -> np.ndarray:

@@ -5,6 +5,7 @@ import numpy as np
 from mathutils import Vector
 
 from ...fastgs_blender.model.framing import is_subject
+from ...fastgs_blender.util.rotations import transformed
 from .. import arrays, model_space, objects
 from ..splats.proxy_nodes import GAUSSIAN
 from .placing import new_camera
@@ -46,7 +47,7 @@ def middle_and_radius(chosen: list[bpy.types.Object]) -> tuple[Vector, float]:
 
 def _most_of(splats) -> tuple[Vector, float]:
     """Middle and radius of most of the splats; a few strays, a far background and the room around them do not count."""
-    points = np.concatenate([model_space.mapped(arrays.points(obj.data)[_in_box(obj.data)], np.array(obj.matrix_world)) for obj in splats])
+    points = np.concatenate([transformed(arrays.points(obj.data)[_in_box(obj.data)], np.array(obj.matrix_world)) for obj in splats])
     near = points[is_subject(points)]
     low, high = near.min(0), near.max(0)
     return Vector((low + high) / 2), max(float(np.linalg.norm(high - low)) / 2, 1e-3)

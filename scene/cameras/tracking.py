@@ -4,6 +4,7 @@ import bpy
 import numpy as np
 
 from ... import fastgs_blender as fg
+from ...fastgs_blender.util.rotations import transformed
 from .. import model_space, objects, parts, snapshot
 from ..time import clip_frame
 
@@ -26,7 +27,7 @@ def region_track(scene: bpy.types.Scene, obj: bpy.types.Object, radius: float, f
     def seen(at, subset):
         shown = clip_frame(at, fps, snapshot.retime_of(obj, at), model.clip)
         s = fg.slice_model(subset, model.clip.t_of_frame(shown or 0.0), cull=False)
-        return s.position @ world[:3, :3].T + world[:3, 3], s.opacity
+        return transformed(s.position, world), s.opacity
 
     position, opacity = seen(scene.frame_current, model)
     near = np.linalg.norm(position - np.array(scene.cursor.location), axis=1) <= radius

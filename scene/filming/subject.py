@@ -5,8 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.rotations import transformed
 from .. import arrays
-from ..model_space import mapped
 from ..objects import SURFACES
 
 MOST_POINTS, MOST_INSTANCES, LOOKS = 300, 20_000, 16
@@ -69,7 +69,7 @@ def _outlines(depsgraph) -> dict[str, _Outline]:
         matrix = np.array(instance.matrix_world)
         found.setdefault(owner.name, [owner, set(), []])
         found[owner.name][1].add(obj.original.name)
-        found[owner.name][2].append(mapped(_points(obj), matrix))
+        found[owner.name][2].append(transformed(_points(obj), matrix))
     return {name: _Outline(_top(owner).name, names, np.concatenate(points)) for name, (owner, names, points) in found.items()}
 
 

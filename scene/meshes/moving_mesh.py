@@ -16,6 +16,7 @@ from ...fastgs_blender.model.slicing import positions_at, sigmoid
 from ...fastgs_blender.rendering.crops import crop_share
 from ...fastgs_blender.surfaces.making import MovingMesh
 from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.rotations import transformed
 from .. import arrays, model_space, objects, snapshot
 from ..cameras.keys import curve_of, driver_of
 from ..colour import linear, rec709_to_working
@@ -119,7 +120,7 @@ def follow(scene, depsgraph=None) -> None:
 def _mesh(name: str, moving: MovingMesh, place: np.ndarray, colour_space: str) -> bpy.types.Mesh:
     """A mesh with shape keys, in the object's space."""
     mesh, count = bpy.data.meshes.new(name), len(moving.rest)
-    arrays.fill(mesh, model_space.mapped(moving.rest, place), moving.quads)
+    arrays.fill(mesh, transformed(moving.rest, place), moving.quads)
     mesh.update(calc_edges=True)
     mesh.shade_smooth()
     light = linear(moving.colours.astype(np.float64), colour_space) @ rec709_to_working().T

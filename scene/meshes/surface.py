@@ -8,9 +8,9 @@ import numpy as np
 from ...fastgs_blender.surfaces.borders import welded
 from ...fastgs_blender.surfaces.sampling import SurfaceSamples
 from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.rotations import transformed
 from .. import arrays
 from ..frame_range import go_to
-from ..model_space import mapped
 from ..objects import MESHABLE, is_splat
 
 SIMULATED = {'CLOTH', 'SOFT_BODY', 'FLUID', 'DYNAMIC_PAINT', 'PARTICLE_SYSTEM', 'EXPLODE', 'OCEAN'}
@@ -108,7 +108,7 @@ class Recorder:
             obj.to_mesh_clear()
         if not np.isfinite(points).all():
             raise FastGSError(f'"{owner}" has vertices whose positions are not finite numbers on frame {frame:g}; repair its mesh.')
-        return mapped(points, matrix).astype(np.float32)
+        return transformed(points, matrix).astype(np.float32)
 
     def _compare(self, owner, key, vertices, loops, frame):
         if key not in self._keys:

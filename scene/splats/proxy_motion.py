@@ -12,6 +12,7 @@ from ...fastgs_blender.rendering.crops import kept_by
 from ...fastgs_blender.rendering.filters import hidden
 from ...fastgs_blender.rendering.looks import look_numbers
 from ...fastgs_blender.util.errors import FastGSError
+from ...fastgs_blender.util.rotations import transformed
 from .. import arrays, mesh_scene, model_space, objects, point_edits, snapshot
 from ..colour import rec709_to_working
 from ..time import shown_frames
@@ -147,8 +148,8 @@ def _write(obj, index, shown: Shown, seen):
     ours = (index[row] == number) & drawn
     row, offset = row[ours], offset[ours]
     place = shown.position[row] + np.einsum("mij,mj->mi", shown.axes[row], offset * seen[row, None])
-    at[ours] = model_space.mapped(place, turn)
-    at[drawn & ~ours & (number >= 0)] = model_space.mapped(shown.position[:1], turn)
+    at[ours] = transformed(place, turn)
+    at[drawn & ~ours & (number >= 0)] = transformed(shown.position[:1], turn)
     mesh.vertices.foreach_set("co", at.ravel())
     colour = arrays.read(mesh.attributes[COLOUR].data, "color", np.float32, 4)
     colour[ours, :3] = (shown.colour @ rec709_to_working().T)[row]

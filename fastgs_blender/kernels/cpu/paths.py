@@ -150,7 +150,7 @@ def _edges(exposure: Exposure, holdout, camera) -> tuple[np.ndarray, np.ndarray]
     for time, point in times + rim:
         eye, triangles = exposure.scene([], camera, time, point)[1], exposure.holdout(holdout, time)
         triangles = np.zeros((0, 3, 3)) if triangles is None else triangles
-        view = triangles @ eye.world_to_camera[:3, :3].T + eye.world_to_camera[:3, 3]
+        view = eye.local(triangles)
         corners.append(eye.pixels(np.where(view[..., 2:] > eye.near, view, np.nan)))
     if len({found.shape for found in corners}) > 1:  # other triangles at another time
         corners = [np.concatenate(corners)]
