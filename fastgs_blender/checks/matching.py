@@ -87,29 +87,28 @@ class Matches:
     def points(self, tracks: Sequence[tuple[int, dict[str, int]]]) -> tuple[np.ndarray, np.ndarray]:
         """The points [T, 3] of tracks by their calibrated cameras, NaN where their rays do not meet, and their largest errors [T] in
         pixels."""
-        xyz, errors = np.full((len(tracks), 3), np.nan), np.full(len(tracks), np.inf)
-        for k, (moment, rows) in enumerate(tracks):
-            point = self._triangulated(moment, rows)
-            if point is not None:
-                xyz[k] = point
-                errors[k] = max(features.reprojection(each := self.features[moment, view], row, each.camera.world_to_camera[:3], point)
-                                for view, row in rows.items())
+        xyz, errors = np.full((len(tracks), 3), np.nan), np.zeros(len(tracks))
+        seen = [(k, (moment, view), row) for k, (moment, rows) in enumerate(tracks) for view, row in rows.items()]
+        if not seen:
+            return xyz, errors
+        track, numbers = np.array([k for k, _, _ in seen]), {key: number for number, key in enumerate(self.features)}
+        picture = np.array([numbers[key] for _, key, _ in seen])
+        pixels = np.array([self.features[key].places[row] for _, key, row in seen], np.float64)
+        turns, centres = (np.array(each)[picture] for each in zip(*(self._rays[key] for key in numbers)))
+        rays = (turns @ np.c_[pixels, np.ones(len(pixels))][..., None])[..., 0]
+        across = np.eye(3) - rays[:, :, None] * rays[:, None] / (rays * rays).sum(1)[:, None, None]
+        system, right = np.zeros((len(tracks), 3, 3)), np.zeros((len(tracks), 3))  # of the point that is nearest to a track's rays
+        np.add.at(system, track, across)
+        np.add.at(right, track, (across @ centres[..., None])[..., 0])
+        meet = np.linalg.cond(system) <= 1e7
+        xyz[meet] = np.linalg.solve(system[meet], right[meet][..., None])[..., 0]
+        away = np.empty(len(seen))
+        for number, each in enumerate(self.features.values()):
+            ours = picture == number
+            away[ours] = np.linalg.norm(each.camera.pixels(each.camera.local(xyz[track[ours]])) - pixels[ours], axis=1)
+        np.maximum.at(errors, track, np.nan_to_num(away, nan=np.inf))  # NaN: behind the camera
+        xyz[errors == np.inf] = np.nan
         return xyz, errors
-
-    def _triangulated(self, moment: int, rows: Mapping[str, int]) -> np.ndarray | None:
-        """The point nearest to the rays of features, in the least-squares sense; None where they are parallel, or it lies behind."""
-        system, right = np.zeros((3, 3)), np.zeros(3)
-        for view, row in rows.items():
-            turn, place = self._rays[moment, view]
-            ray = turn @ np.append(self.features[moment, view].places[row], 1.0)
-            across = np.eye(3) - np.outer(ray, ray) / (ray @ ray)
-            system += across
-            right += across @ place
-        if np.linalg.cond(system) > 1e7:
-            return None
-        point = np.linalg.solve(system, right)
-        ahead = (self.features[moment, view].camera.world_to_camera[2] @ [*point, 1] > 0 for view in rows)
-        return point if all(ahead) else None
 
     def good_points(self, without: Sequence[str] = ()) -> np.ndarray:
         """Points [P, 3] on which at least two cameras agree."""
