@@ -33,6 +33,7 @@ SLOWEST = ("test_maintenance.py", "test_training_jobs.py", "test_docs_python.py"
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
 os.environ["BLENDER_USER_RESOURCES"] = USER.name  # before the first test module imports bpy, which reads it once
 os.environ.setdefault("FASTGS_CACHE_DIR", str(ROOT / "build" / "cache"))  # all processes, and the library's tests, share compiled kernels
+os.environ["FASTGS_DEVICE"] = "cpu"  # training looks for no GPU, which takes a third of a short run's time, unless a test asks for one
 
 
 def pytest_collection_modifyitems(items):

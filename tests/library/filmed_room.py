@@ -53,13 +53,15 @@ def picture(angle: float, moment: float, detail: int = 2) -> np.ndarray:
     origin = -world_to_camera[:3, :3].T @ world_to_camera[:3, 3]
     nearest, colour = np.full((height, width), np.inf), np.zeros((height, width, 3))
     for k, (axis, at, low, high) in enumerate(_faces(moment)):
+        others = [i for i in range(3) if i != axis]
         with np.errstate(divide="ignore", invalid="ignore"):
             t = (at - origin[axis]) / rays[..., axis]
-            where = origin + t[..., None] * rays
-        others = [i for i in range(3) if i != axis]
-        inside = (t > 1e-6) & (t < nearest) & np.all([(where[..., i] >= low[i]) & (where[..., i] <= high[i]) for i in others], 0)
+            where = [origin[i] + t * rays[..., i] for i in others]
+        inside = (t > 1e-6) & (t < nearest)
+        for i, x in zip(others, where):
+            inside &= (x >= low[i]) & (x <= high[i])
         nearest[inside] = t[inside]
-        uv = where[inside][:, others] - [low[i] if np.isfinite(low[i]) else 0.0 for i in others]  # textures move with their boxes
+        uv = np.stack([x[inside] - (low[i] if np.isfinite(low[i]) else 0.0) for i, x in zip(others, where)], 1)  # textures move with boxes
         colour[inside] = _sampled(texture(k % 6), uv * 150)
     return colour.reshape(SIZE[1], detail, SIZE[0], detail, 3).mean((1, 3))
 

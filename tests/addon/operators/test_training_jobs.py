@@ -16,7 +16,8 @@ import numpy as np
 import pytest
 from held_runs import GUARD, HOOK, Barrier, until
 
-FEW = ("--set", "init_points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "init=random")
+FEW = tuple(word for setting in ("init_points=60", "warm_up=", "preview_every=5", "checkpoint_seconds=0", "init=random", "poses=off")
+            for word in ("--set", setting))
 
 
 @contextlib.contextmanager

@@ -49,7 +49,7 @@ def folder(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def good(folder):
-    return check(write_room(folder / "good", 8, 3, detail=1))
+    return check(write_room(folder / "good", 8, 2, detail=1))
 
 
 @pytest.fixture(scope="module")
