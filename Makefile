@@ -40,6 +40,7 @@ demo: .venv/ready
 	@$(PY) tools/demo.py
 
 test: CHOSEN := -m "not slow"
+test: export FASTGS_MUTATIONS ?= 100
 test: lint test-library test-addon test-site
 	@echo "Left out: tests that are marked slow, and Blender 5.2.3. make test-all runs them too."
 

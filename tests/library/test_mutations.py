@@ -47,7 +47,7 @@ def grab():
 
 def test_a_good_reader_passes(tmp_path):
     told = mutations.campaign("good", good, SEEDS, tmp_path)
-    assert min(told.values()) > 20
+    assert min(told.values()) > 6
 
 
 @pytest.mark.slow
