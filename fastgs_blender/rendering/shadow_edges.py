@@ -26,19 +26,16 @@ from typing import Any
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..util.threads import beside, several
+from ..util.threads import PIECE, beside, joined, ranges, run
 from .colour import linear_to_srgb, scene_linear, straight
 from .exposure import Exposure
 from .instances import Instance, ViewedInstance
-from .lamps import Lamp
 from .layout import Layout
 from .quantities import Quantity, Shown
-from .ways import Sides, Ways, without_colours
+from .seen import Seen, past_meshes
+from .sheets import AROUND_ONE, WIDEST, believed, smooth
+from .ways import without_colours
 
-PLACES = 4
-"""Places in a pixel that a lamp is looked at from, all its points together."""
-WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0.125]])
-"""These places, in pixels from its middle: no two in one row or column."""
 AROUND = 2.0
 """Standard deviations around Gaussians with an edge in which pixels are looked at again."""
 SHARP = 0.01
@@ -49,12 +46,6 @@ NUMBERS = 5
 """Numbers of a lamp (Taken.numbers)."""
 BLOCK = 8
 """Pixels of the side of the squares beside which there must be an edge for pixels to ask; a coarse picture has one pixel for each."""
-WIDEST = 8
-"""Pixels to each side over which steps of a soft shadow are smoothed, at most; a power of two."""
-AROUND_ONE = 16
-"""Pixels to each side of a pixel that must show one surface as well, for its own to be believed."""
-FEW, ENOUGH = 0.7, 0.9
-"""The shares of these at which it begins to be believed, and is."""
 MOST = 8
 """Samples of an exposure in which edges are looked at."""
 
@@ -107,15 +98,15 @@ def sharpened(draw: Callable[[], Any], needs: set[str], instances: list[ViewedIn
         drawn, blended = beside(lambda: around(*seen), draw)
         if not drawn.pixels:
             return blended
-        at, sums, alpha = drawn.pixels, dict(blended.sums), blended.alpha[drawn.pixels][:, None]
+        at, sums, alpha, one = drawn.pixels, dict(blended.sums), blended.alpha[drawn.pixels][:, None], drawn.one[:, None]
         for name, kind, level in wanted:
             now = drawn.past[:, level] * (1 if kind == "mesh_shadow" else drawn.splats[:, level])
             sums[name] = sums[name].copy()
-            sums[name][at] += drawn.one[:, None] * (alpha * now[:, None] - sums[name][at])
+            sums[name][at] += one * (alpha * now[:, None] - sums[name][at])
         if not coloured:
             return replace(blended, sums=sums)
-        before = scene_linear(blended.rgb[at], blended.alpha[at], space)
-        return replace(blended, sums=sums, rgb=_changed(blended, at, before + drawn.one[:, None] * (drawn.light - before), space))
+        return replace(blended, sums=sums, rgb=_changed(
+            blended, at, space, lambda before, rows: before + one[rows] * (drawn.light[rows] - before)))
 
     def samples() -> np.ndarray:
         """The change of the average's light [h, w, 3]."""
@@ -130,14 +121,72 @@ def sharpened(draw: Callable[[], Any], needs: set[str], instances: list[ViewedIn
 
     change, blended = beside(samples, draw)
     at = np.nonzero(change.any(-1))
-    return replace(blended, rgb=_changed(blended, at, scene_linear(blended.rgb[at], blended.alpha[at], space) + change[at], space))
+    change = change[at]
+    return replace(blended, rgb=_changed(blended, at, space, lambda before, rows: before + change[rows]))
 
 
-def _changed(blended: Any, at: tuple[np.ndarray, ...], light: np.ndarray, space: str) -> np.ndarray:
-    """A picture [h, w, 3] with the light [P, 3] that some of its pixels have now."""
-    out, alpha, linear = blended.rgb.copy(), blended.alpha[at], np.maximum(light, 0).astype(blended.rgb.dtype)
-    out[at] = linear_to_srgb(straight(linear, alpha)) * alpha[:, None] if space == "srgb" else linear
+def _changed(blended: Any, at: tuple[np.ndarray, ...], space: str, light: Callable[[np.ndarray, slice], np.ndarray]) -> np.ndarray:
+    """A picture [h, w, 3], some of whose pixels have another light now: light(before [R, 3], which of them) -> [R, 3]."""
+    out = blended.rgb.copy()
+
+    def piece(first: int, last: int) -> None:
+        rows = slice(first, last)
+        where = at[0][rows], at[1][rows]
+        alpha = blended.alpha[where]
+        linear = np.maximum(light(scene_linear(blended.rgb[where], alpha, space), rows), 0).astype(out.dtype)
+        out[where] = linear_to_srgb(straight(linear, alpha)) * alpha[:, None] if space == "srgb" else linear
+
+    run(piece, ranges(len(at[0]), PIECE))
     return out
+
+
+@dataclass(frozen=True, eq=False)
+class _Shown:
+    """What P pixels of a window show.
+
+    eye       the camera with that window
+    at        [P] which pixels, one row of the window after the other
+    rgb       [P, 3] colours, and their alpha [P]
+    channels  [P, C] sums of quantities, whose places have names
+    """
+
+    eye: Camera
+    at: np.ndarray
+    rgb: np.ndarray
+    alpha: np.ndarray
+    channels: np.ndarray
+    places: dict[str, slice]
+
+    def part(self, rows: Any) -> _Shown:
+        """Some of the pixels: their numbers, or a slice."""
+        return replace(self, **{name: getattr(self, name)[rows] for name in ("at", "rgb", "alpha", "channels")})
+
+    def sums(self, name: str) -> np.ndarray:
+        """A quantity's sums [P, K]."""
+        return self.channels[:, self.places[name]]
+
+    def plane(self) -> np.ndarray:
+        """The planes of depth [3, P] (Seen)."""
+        return np.divide(self.sums("plane").T, self.alpha, order="C", dtype=np.float64)
+
+    def seen(self) -> Seen:
+        """The surfaces that the pixels show."""
+        normal = np.ascontiguousarray(self.sums("normal").T)
+        normal /= np.maximum(np.sqrt(np.einsum("kp,kp->p", normal, normal)), 1e-30)
+        return Seen(self.eye, np.divmod(self.at, self.eye.window[2]), self.plane(), normal)
+
+    def one(self, bias: float) -> np.ndarray:
+        """Whether each pixel shows one surface [P], from 0 to 1."""
+        x, y = (axis[rows] for axis, rows in zip(self.eye.from_middle(), np.divmod(self.at, self.eye.window[2])[::-1], strict=True))
+        plane, wide = self.plane(), self.sums("wide")
+        depth, core = plane[0] + plane[1] * x + plane[2] * y, np.maximum(wide[:, 1], 1e-30).astype(np.float64)
+        off = np.abs(depth - self.sums("depth")[:, 0] / core)
+        return np.clip(2 - off / (0.5 * (wide[:, 0] / core) + 2 * bias), 0, 1) * (depth > self.eye.near)
+
+    def numbers(self, kinds: int) -> np.ndarray:
+        """The first `kinds` numbers of lamps (Taken.numbers): [P, kinds, L]."""
+        numbers = self.sums("numbers")
+        return numbers.reshape(len(numbers), kinds, numbers.shape[1] // kinds) / self.alpha[:, None, None]
 
 
 class _Drawn:
@@ -159,50 +208,59 @@ class _Drawn:
         found = eye and _near_edges(instances, eye, lamps, backend)
         if not found:
             return
-        self._eye, self._near = eye, _ = found
+        self._eye, self._near = eye, near = found
         of_lamps = Quantity(kinds * lamps, lambda shown: _numbers(shown, lamps)[:, :kinds].reshape(-1, kinds * lamps))
         normals = Quantity(3, lambda shown: shown.instance.taken.normal[shown.index] if shown.instance.taken else
                            np.zeros((len(shown.index), 3)))
-        at, rgb, alpha, sums = self._shown(instances, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
-        pixels = np.divmod(at, eye.window[2])
-        x, y = (axis[rows] for axis, rows in zip(eye.from_middle(), pixels[::-1], strict=True))
-        plane = np.divide(sums["plane"].T, alpha, order="C", dtype=np.float64)
-        one = _believed(_one(eye, sums, plane[0] + plane[1] * x + plane[2] * y, light.bias), pixels)
+        shown = self._shown(instances, {"wide": Quantity(2, _wide, core=True), "numbers": of_lamps, "normal": normals}, True)
+        at = np.flatnonzero(near.ravel() & (shown.alpha > FAINT))
+        one, = joined(lambda a, b: (shown.part(at[a:b]).one(light.bias),), len(at))
+        one = believed(one, np.divmod(at, eye.window[2]))
         rows = np.flatnonzero(one > SHARP)
+        at, one = at[rows], one[rows]
+
+        def facing(first: int, last: int) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+            seen = shown.part(at[first:last]).seen()
+            rows = np.flatnonzero(seen.faces(light.lamps))
+            return rows + first, seen.plane[:, rows], seen.normal[:, rows]
+
+        rows, plane, normal = joined(facing, len(at))
         if not len(rows):
             return
-        self.one, self._at, rgb, alpha, normal, numbers = (array[rows] for array in (one, at, rgb, alpha, sums["normal"], sums["numbers"]))
-        pixels = pixels[0][rows], pixels[1][rows]
-        normal /= np.maximum(np.sqrt(np.einsum("pi,pi->p", normal, normal)), 1e-30)[:, None]
-        places = _points(eye, np.take(plane, rows, 1), x[rows], y[rows])
-        past, points = _past(light, lamps, places, np.ascontiguousarray(normal.T), backend)
-        numbers = numbers.reshape(-1, kinds, lamps) / alpha[:, None, None]
-        past = _smooth(np.where(points > 0, past, np.minimum(numbers[:, 3], 1)), points, pixels)
+        at, one = at[rows], one[rows]
+        pixels = np.divmod(at, eye.window[2])
+        past, points = past_meshes(light, lamps, Seen(eye, pixels, plane, normal), backend)
+        left = np.flatnonzero((points == 0).any(1))
+        past[left] = np.where(points[left] > 0, past[left], np.minimum(shown.part(at[left]).numbers(kinds)[:, 3], 1))
+        past = smooth(past, points, pixels)
         down, right = pixels[0] + eye.window[1] - camera.window[1], pixels[1] + eye.window[0] - camera.window[0]
         rows = np.flatnonzero((down >= 0) & (down < camera.window[3]) & (right >= 0) & (right < camera.window[2]))
-        self.one, self._at, self.past, self.splats = self.one[rows], self._at[rows], past[rows], numbers[rows, kinds - 1]
-        self.pixels = (down[rows], right[rows]) if len(rows) else ()
-        takes = (numbers[rows, :3] * (1 - self.past)[:, None]).sum(2)
-        self.light = scene_linear(rgb[rows], alpha[rows], space) * np.maximum(1 - takes, 0)
+        if not len(rows):
+            return
+        self.pixels, self.one, self._at, self.past = (down[rows], right[rows]), one[rows], at[rows], past[rows]
+
+        def lit(first: int, last: int) -> tuple[np.ndarray]:
+            part, past = shown.part(self._at[first:last]), self.past[first:last]
+            takes = (part.numbers(kinds)[:, :3] * (1 - past)[:, None]).sum(2)
+            return (scene_linear(part.rgb, part.alpha, space) * np.maximum(1 - takes, 0)).T,
+
+        self.light = joined(lit, len(rows))[0].T
+        self.splats = shown.part(self._at).numbers(kinds)[:, kinds - 1]
 
     def of(self, instances: list[ViewedInstance]) -> np.ndarray:
         """What its pixels look like with these instances, in light [P, 3]."""
-        _, rgb, alpha, _ = self._shown(instances, {}, False, self._at)
-        return scene_linear(rgb, alpha, self.space)
+        shown = self._shown(instances, {}, False).part(self._at)
+        return scene_linear(shown.rgb, shown.alpha, self.space)
 
-    def _shown(self, instances: list[ViewedInstance], quantities: dict[str, Quantity], planes: bool, at: np.ndarray | None = None
-               ) -> tuple[np.ndarray, np.ndarray, np.ndarray, dict[str, np.ndarray]]:
-        """Pixels [P] of the window, which are `at` or those near edges that show something; their colours [P, 3], alpha [P], and sums of
-        quantities [P, K] by name; planes: and the depth's, over the core, and that of its plane."""
+    def _shown(self, instances: list[ViewedInstance], quantities: dict[str, Quantity], planes: bool) -> _Shown:
+        """A picture of the pixels near edges with quantities; planes: and the depth's, over the core, and that of its plane."""
         layout = Layout(instances, planes, quantities, planes or self.holdout is not None, self.by_pixel)
         if planes:
             layout.core = layout.core[0], layout.places["depth"].stop  # the depth comes right after what is summed over the core
         drawn = self.backend.draw(instances, self._eye, layout, (), lambda share: None, holdout=self.holdout, wanted=self._near)
         rgb, alpha, channels = (self.backend.numpy(array).reshape(self._near.size, -1)
                                 for array in (self.backend.colour(drawn, layout, self._eye), drawn.alpha, drawn.channels))
-        at = np.flatnonzero(self._near.ravel() & (alpha[:, 0] > FAINT)) if at is None else at
-        channels = channels[at]
-        return at, rgb[at], alpha[at, 0], {name: channels[:, where] for name, where in layout.places.items()}
+        return _Shown(self._eye, np.arange(len(rgb)), rgb, alpha[:, 0], channels, layout.places)
 
 
 def _near_edges(instances: list[ViewedInstance], camera: Camera, lamps: int, backend: Any) -> tuple[Camera, np.ndarray] | None:
@@ -257,47 +315,6 @@ def _around(instances: list[ViewedInstance], camera: Camera) -> Camera | None:
     return replace(camera, window=(left, top, right - left, bottom - top))
 
 
-def _one(eye: Camera, sums: dict[str, np.ndarray], depth: np.ndarray, bias: float) -> np.ndarray:
-    """Whether each of P pixels, of sums [P, K], shows one surface, which lies at this depth [P]: from 0 to 1."""
-    core = np.maximum(sums["wide"][:, 1], 1e-30).astype(np.float64)
-    mean, wide = sums["depth"][:, 0] / core, sums["wide"][:, 0] / core
-    return np.clip(2 - np.abs(depth - mean) / (0.5 * wide + 2 * bias), 0, 1) * (depth > eye.near)
-
-
-def _believed(one: np.ndarray, pixels: tuple[np.ndarray, ...]) -> np.ndarray:
-    """How far pixels [P] show one surface, where those around them do as well."""
-    at, size = _framed(pixels, AROUND_ONE)
-    share, there = (_box(_totals(size, at, values), at, AROUND_ONE) for values in (one, 1.0))
-    return one * np.clip((share / there - FEW) / (ENOUGH - FEW), 0, 1)
-
-
-def _framed(pixels: tuple[np.ndarray, ...], edge: int) -> tuple[np.ndarray, tuple[int, int]]:
-    """Where pixels lie in a sheet that just holds them and an edge around, for _box(), and its size."""
-    rows, columns = (axis - (axis.min() - edge - 1) for axis in pixels)
-    size = int(rows.max()) + 1 + edge, int(columns.max()) + 1 + edge
-    return rows * size[1] + columns, size
-
-
-def _sheet(size: tuple[int, int], at: np.ndarray, values: np.ndarray | float, others: float = 0.0) -> np.ndarray:
-    """A sheet of a size with values at the places `at`, and others."""
-    sheet = np.full(size, others)
-    sheet.reshape(-1)[at] = values
-    return sheet
-
-
-def _totals(size: tuple[int, int], at: np.ndarray, values: np.ndarray | float) -> np.ndarray:
-    """The running sums of such a sheet, along both axes."""
-    sheet = _sheet(size, at, values)
-    return np.cumsum(np.cumsum(sheet, 0, out=sheet), 1, out=sheet)
-
-
-def _box(total: np.ndarray, at: np.ndarray, radius: int) -> np.ndarray:
-    """Sums over squares of pixels around those places, from a sheet's running sums."""
-    width, sums = total.shape[1], total.reshape(-1)
-    below, above = at + radius * width, at - (radius + 1) * width
-    return sums[below + radius] - sums[above + radius] - sums[below - radius - 1] + sums[above - radius - 1]
-
-
 def _wide(shown: Shown) -> np.ndarray:
     """Of each Gaussian its standard deviation along the view, and 1."""
     taken = shown.instance.taken
@@ -310,61 +327,3 @@ def _numbers(shown: Shown, lamps: int) -> np.ndarray:
     if shown.instance.taken:
         return shown.instance.taken.numbers[shown.index]
     return np.broadcast_to(np.array([0, 0, 0, 1, 1])[:, None], (len(shown.index), NUMBERS, lamps))
-
-
-def _smooth(past: np.ndarray, points: np.ndarray, seen: tuple[np.ndarray, ...]) -> np.ndarray:
-    """Shares [P, L] at pixels `seen` of a window, without the steps that lamps of so many points [P, L] make."""
-    (at, size), out = _framed(seen, WIDEST), past.copy()
-    total = _totals(size, at, 1.0)
-    for lamp in np.flatnonzero((points > 1.5).any(0)):
-        low, high = (_sheet(size, at, past[:, lamp], edge).astype(np.float32) for edge in (np.inf, -np.inf))
-        summed, step, radius = _totals(size, at, past[:, lamp]), 2.001 / np.maximum(points[:, lamp], 1), 0
-        while radius < WIDEST:
-            radius, off = max(2 * radius, 1), max(radius, 1)
-            for axis in (0, 1):
-                low = np.minimum(low, np.minimum(np.roll(low, off, axis), np.roll(low, -off, axis)))
-                high = np.maximum(high, np.maximum(np.roll(high, off, axis), np.roll(high, -off, axis)))
-            differ = high.reshape(-1)[at] - low.reshape(-1)[at]
-            narrow = np.flatnonzero((differ > 0) & (differ <= step))
-            out[narrow, lamp] = _box(summed, at[narrow], radius) / _box(total, at[narrow], radius)
-    return out
-
-
-def _points(eye: Camera, plane: np.ndarray, x: np.ndarray, y: np.ndarray) -> np.ndarray:
-    """The places WITHIN pixels in the world [3, PLACES, P], of pixels at x and y [P] from the image's middle, on planes [3, P] of depth."""
-    out, to_world = np.empty((3, PLACES, len(x))), np.linalg.pinv(eye.world_to_camera)[:3]
-    for place, (right, down) in enumerate(WITHIN):
-        across, along = x + right, y + down
-        depth = plane[0] + plane[1] * across + plane[2] * along
-        spread = 1.0 if eye.orthographic else depth
-        across, along = (across + (eye.width / 2 - eye.cx)) / eye.fx * spread, (along + (eye.height / 2 - eye.cy)) / eye.fy * spread
-        for axis, row in enumerate(to_world):
-            out[axis, place] = row[0] * across + row[1] * along + row[2] * depth + row[3]
-    return out
-
-
-def _past(light: Any, count: int, places: np.ndarray, normal: np.ndarray, backend: Any) -> tuple[np.ndarray, np.ndarray]:
-    """By lamp, which share of its light comes past the meshes to pixels, as places [3, S, P] with normals [3, P], and of how many points of
-    the lamp, as if each were as bright: [P, L] each."""
-    scene, middle, total = Ways(backend, [], light.meshes, moments=light.moments), places.mean(1), np.zeros((3, count, len(normal.T)))
-    for lamp, level in zip(light.lamps, light.levels, strict=True):
-        bright, ways = np.abs(lamp.colour).sum(1), scene.of_lamp(lamp.name, light.clear.get(lamp.name))
-        sides = ways.sides(lamp.light, middle, 0.0 if lamp.light.parallel else 3**0.5 * float(np.abs(places - middle[:, None]).max()))
-        told = partial(_told, lamp, sides, middle, normal, places, light)
-        for share, open_ in several(told, [(k, bright[k], bright[k] / bright.sum()) for k in np.flatnonzero(bright)]):
-            for row, value in zip(total[:, level], (share, share * open_, share**2), strict=True):
-                row += value
-    free, left, squares = total
-    return (left / np.maximum(free, 1e-30)).T, np.where(free > 0, free * free / np.maximum(squares, 1e-60), 0).T
-
-
-def _told(lamp: Lamp, sides: Sides, middle: np.ndarray, normal: np.ndarray, places: np.ndarray, light: Any, number: int,
-          bright: float, part: float) -> tuple[np.ndarray, np.ndarray]:
-    """How much light the lamp's point of that number, of that brightness and part of all, sends to pixels [R], and which share of that
-    comes past the meshes."""
-    share, each = bright * lamp.share(number, middle, normal), min(max(round(PLACES * part), 1), PLACES)
-    own, open_ = places[:, (number * each + np.arange(each)) % PLACES], np.ones(len(share), np.float32)
-    some = share != 0
-    lit = np.flatnonzero(some) if 2 * np.count_nonzero(some) < len(share) else slice(None)  # copies cost as much as asking for a few
-    open_[lit] = sides.past(number, own[:, :, lit], light.size, light.bias)[0]
-    return share, open_

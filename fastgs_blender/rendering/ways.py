@@ -46,6 +46,21 @@ class Side:
     instances: list[Instance]
     moments: Sequence[np.ndarray]
 
+    @cached_property
+    def corners(self) -> np.ndarray:
+        """Of a box around the triangles at all moments [3, 8]."""
+        found = np.concatenate([_bounds(each.reshape(-1, 3).T) for each in self.moments])
+        return _bounds(found.T)[_CHOICES, np.arange(3)].T
+
+    def throws(self, eye: Camera) -> bool:
+        """Whether any of its triangles may lie before a camera."""
+        if not self.moments or not len(self.moments[0]):
+            return False
+        x, y, z = product(eye.world_to_camera[:3, :3], self.corners) + eye.world_to_camera[:3, 3:]
+        x, y, deep = eye.fx * x, eye.fy * y, np.ones(8) if eye.orthographic else z
+        beside = x + eye.cx * deep < 0, x + (eye.cx - eye.width) * deep > 0, y + eye.cy * deep < 0, y + (eye.cy - eye.height) * deep > 0
+        return not (any(outside.all() for outside in beside) or (z < eye.near).all() or (z > eye.far).all())
+
 
 @dataclass(frozen=True, eq=False)
 class Sides:
@@ -82,7 +97,7 @@ class Sides:
         over = np.broadcast_to(np.float64(over_splats), count)
         for side, there, among in self._split(places.reshape(3, -1)):
             for eye, points, rows in self._views(number, there, among, size):
-                if side.moments and len(side.moments[0]):
+                if side.throws(eye):
                     last = len(side.moments) - 1
                     at = 0.0 if self.light.times is None else self.light.times[number] * last
                     triangles = between(side.moments[int(at)], side.moments[min(int(at) + 1, last)], at % 1)
@@ -115,11 +130,13 @@ class Sides:
             return
         towards = points - self.centre[:, None]
         x, y, z = np.abs(towards)
-        axis = np.where(x >= y, np.where(x >= z, 0, 2), np.where(y >= z, 1, 2))
-        number = 2 * axis + (np.choose(axis, towards) > 0)
-        for side in np.flatnonzero(np.bincount(number)).tolist():
-            rows = np.flatnonzero(number == side)
-            yield self._through(side), np.take(points, rows, 1), rows
+        by_x, ahead = x >= np.maximum(y, z), towards > 0
+        by_y = (y >= z) & ~by_x
+        for axis, mine in enumerate((by_x, by_y, ~(by_x | by_y))):
+            for sign, mask in enumerate((mine & ~ahead[axis], mine & ahead[axis])):
+                rows = np.flatnonzero(mask)
+                if len(rows):
+                    yield self._through(2 * axis + sign), np.take(points, rows, 1), rows
 
     def _through(self, number: int) -> Side:
         """A side of the cube; number: two for each axis, the negative side first."""

@@ -176,6 +176,12 @@ def taken(arrays: Sequence[np.ndarray], index: np.ndarray, axis: int = 0) -> lis
     return out
 
 
+def joined(work: Callable[[int, int], tuple[np.ndarray, ...]], total: int) -> list[np.ndarray]:
+    """The arrays of work(first, last), of pieces of range(total) so small that they stay in the processor's cache, joined along the last
+    axis."""
+    return [np.concatenate(each, -1) for each in zip(*run(work, ranges(total, 4 * PIECE) or [(0, 0)]), strict=True)]
+
+
 def portions(total: int, most: int = 0, least: int = 0) -> list[tuple[int, int]]:
     """ranges() of at most `most` and at least `least`, 0: MOST and LEAST; each thread has four, where run() has several threads."""
     count = 1 if getattr(_here, "busy", False) else thread_count()

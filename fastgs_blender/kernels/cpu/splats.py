@@ -164,8 +164,12 @@ def plain(array: np.ndarray) -> np.ndarray:
     if type(array) is np.ndarray and array.flags.writeable:
         return array
 
-    class Memory:
-        __array_interface__ = {**array.__array_interface__, "data": (array.__array_interface__["data"][0], False)}
-        owner = array
+    return np.asarray(_Memory(array)) if array.size else np.zeros(array.shape, array.dtype)
 
-    return np.asarray(Memory()) if array.size else np.zeros(array.shape, array.dtype)
+
+class _Memory:
+    """An array's memory, which may be written."""
+
+    def __init__(self, array: np.ndarray):
+        known = array.__array_interface__
+        self.owner, self.__array_interface__ = array, known | {"data": (known["data"][0], False)}

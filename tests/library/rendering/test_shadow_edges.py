@@ -7,13 +7,14 @@ import pytest
 from test_scene_light import ALBEDO, CAMERA, LIT, board, lit, wall
 
 import fastgs_blender as fg
-from fastgs_blender.rendering import shadow_edges
+from fastgs_blender.rendering import seen, shadow_edges
 from fastgs_blender.rendering.exposure import Exposure
 from fastgs_blender.rendering.instances import Instance, Moment, ObjectSettings
 from fastgs_blender.rendering.lamps import Lamp
 from fastgs_blender.rendering.passes import PassSettings
 from fastgs_blender.rendering.relight import SceneLight
 from fastgs_blender.rendering.shadow import Light
+from fastgs_blender.rendering.ways import Sides
 
 COARSE = wall(4.0, 2.4, 0.4)
 """Discs of six pixels."""
@@ -58,6 +59,38 @@ def test_a_lamp_of_many_points_throws_thin_shadows():
     lamp = Lamp(Light.rectangle((0, 0, 2.0), (0.01, 0, 0), (0, 0.01, 0), 16), (3.0, 3.0, 3.0))
     free, shaded = (lit(COARSE, [lamp], meshes=meshes) for meshes in (None, board(0, 0, 3.0, 0.05)))
     assert light_of(shaded, free)[31:33, 31:33].max() < 0.1
+
+
+@pytest.mark.parametrize("lamp", [POINT, Lamp(Light.rectangle((0, 0, 2.0), (0.1, 0, 0), (0, 0.1, 0), 16), (3.0, 3.0, 3.0))])
+@pytest.mark.parametrize("half", [0.3, 0.03])
+def test_pixels_ask_less_where_those_around_them_are_told_the_same(lamp, half, monkeypatch):
+    """Also beside a shadow of three pixels.  The picture is the one of pixels that ask everything."""
+    camera, meshes, asked, past = fg.Camera(256, 256, 256, 256, 128, 128, np.eye(4)), board(0, 0, 3.0, half), [0], Sides.past
+
+    def counted(self, number, places, *rest):
+        asked[0] += 0 if self.ways.instances else places.shape[1] * places.shape[2]
+        return past(self, number, places, *rest)
+
+    monkeypatch.setattr(Sides, "past", counted)
+    monkeypatch.setattr(seen, "FEW", 0)
+    some, count = lit(COARSE, [lamp], meshes=meshes, camera=camera), asked[0]
+    monkeypatch.setattr(seen, "FEW", 10**9)
+    every = lit(COARSE, [lamp], meshes=meshes, camera=camera)
+    assert 0 < count < 0.75 * (asked[0] - count)
+    assert np.allclose(some, every, atol=1e-4)
+
+
+def test_only_surfaces_that_face_a_lamp_ask():
+    """A wall at the depth 4, tilted down in its lower half: lamps before it, behind it, above it; suns."""
+    rows, columns = (axis.ravel() for axis in np.mgrid[:64, :64])
+    below = rows >= 32
+    normal = np.array([np.zeros(len(rows)), np.where(below, 0.6, 0), np.where(below, -0.8, -1)])
+    wall = seen.Seen(CAMERA, (rows, columns), np.broadcast_to([[4.0], [0], [0]], (3, len(rows))), normal)
+    before, behind, above = (Lamp(Light([place]), (1, 1, 1)) for place in ((0, 0, 2.0), (0, 0, 6.0), (0, -9.0, 3.0)))
+    sun, lower = (Lamp(Light.sun(towards), (1, 1, 1)) for towards in ((0, 0, -1), (0, 1, 0.1)))
+    for lamps, expected in (([before], True), ([behind], False), ([above], ~below), ([sun], True), ([lower], below),
+                            ([behind, lower], below)):
+        assert (wall.faces(lamps) == expected).all()
 
 
 def test_a_shadow_over_everything_has_no_edge():
@@ -110,7 +143,7 @@ def test_a_surface_of_many_depths_keeps_the_shadows_of_its_gaussians(rng, monkey
         return (np.abs(np.diff(share, axis=1)) > 0.2).sum()
 
     found = steps()
-    monkeypatch.setattr(shadow_edges, "_believed", lambda one, pixels: one)
+    monkeypatch.setattr(shadow_edges, "believed", lambda one, pixels: one)
     assert found < 0.1 * steps()
 
 

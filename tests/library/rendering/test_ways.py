@@ -195,3 +195,18 @@ def test_splats_smaller_than_pixels_hide_as_much_as_in_a_fine_picture(light):
     points = np.concatenate([rng.uniform(-1, 1, (2000, 2)), np.full((2000, 1), 3.0)], 1)
     coarse, fine = (past([discs], points, light, size=size)[1].mean() for size in (128, 4096))
     assert fine < 0.95 and abs(coarse - fine) < 0.02
+
+
+@given(st.integers(0, 2**31), st.booleans())
+@settings(max_examples=60, deadline=None)
+def test_triangles_beside_a_picture_throw_no_shadow_in_it(seed, parallel):
+    """Where Side.throws() says no, no point that the picture shows has any of them before it; and it does say so."""
+    rng = np.random.default_rng(seed)
+    triangles = (rng.normal(size=3) * 3 + rng.normal(size=(4, 3, 3)) * 0.5).astype(np.float32)
+    eye = fg.Camera(64, 48, 60, 60, 32, 24, np.eye(4), orthographic=parallel, far=9.0)
+    points = np.stack(np.meshgrid(*[np.linspace(-4, 4, 9)] * 2, np.linspace(0.5, 8.5, 5)), -1).reshape(-1, 3)
+    pixels = eye.pixels(points)
+    points = points[((pixels >= 0) & (pixels <= [64, 48])).all(1)].T.copy()
+    told = load_backend("cpu").past_triangles(triangles, eye, points, np.zeros(points.shape[1]))
+    assert Side([], [triangles]).throws(eye) or (told == 1).all()
+    assert not Side([], [triangles * np.float32(0.01) - np.float32([9, 0, 0])]).throws(eye) and not Side([], []).throws(eye)
