@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import Changing, Features, features_at, momentary
+from ...model.appearance import Appearance, Changing, Features, features_at, momentary
 from ...rendering.crops import crop_arrays
 from ...rendering.instances import ViewedInstance
 from ...rendering.layout import Layout
@@ -135,7 +135,8 @@ def _inputs(instance: ViewedInstance, camera: Camera, layout: Layout):
     lens = (camera.fx, camera.fy, camera.cx, camera.cy, instance.near, instance.far, *camera.tangent_limits(),
             x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5)
     r, look, own = model.raster, momentary(model.appearance), model.arrays
-    eye = instance.camera_to_model[:3, 2 if camera.orthographic else 3]
+    along = type(look).seen is not Appearance.seen  # the inverse takes as long as a tenth of a small picture
+    eye = instance.camera_to_model[:3, 2 if camera.orthographic else 3] if along else np.zeros(3)
     if isinstance(model.appearance, Changing):
         own = own | {"features": features_at(model.appearance, model.features, instance.t, model.mu_tau).astype(np.float32)}
     return (
