@@ -32,6 +32,7 @@ def test_it_is_short():
     assert len(SCRIPT.read_text("utf-8").splitlines()) < 25
 
 
+@pytest.mark.slow
 def test_from_a_scene_to_a_rendered_picture(moving_scene, tmp_path):  # noqa: F811
     """The ball of a colour of its own over a floor is in the picture, where the new camera looks, before the scene's world."""
     pytest.importorskip("torch")

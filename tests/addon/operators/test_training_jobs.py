@@ -16,8 +16,7 @@ import numpy as np
 import pytest
 from held_runs import GUARD, HOOK, Barrier, until
 
-FEW = tuple(word for setting in ("init_points=60", "warm_up=", "preview_every=5", "checkpoint_seconds=0", "init=random", "poses=off")
-            for word in ("--set", setting))
+FEW = ("--set", "init_points=60", "--set", "warm_up=", "--set", "preview_every=5", "--set", "checkpoint_seconds=0", "--set", "init=random")
 
 
 @contextlib.contextmanager
@@ -270,6 +269,7 @@ def run_pressed(press, scene, module, **settings):
     return jobs.get(job.id), kinds
 
 
+@pytest.mark.slow
 def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, module, toy, other_toy, scene, tmp_path, few, press):
     """Through the panel's operator and the queue.  What is there already is never taken for what was asked for."""
     plan = module("fastgs_blender.training.run.plan").read_plan
@@ -301,6 +301,7 @@ def test_a_folder_that_holds_a_finished_run_trains_again_as_it_was_asked(jobs, m
     assert [job.id for job in jobs.all()] == [beside.id, anew.id]
 
 
+@pytest.mark.slow
 def test_going_on_with_a_run_takes_its_own_capture_and_options(jobs, module, toy, other_toy, scene, tmp_path, few, barrier, press):
     """Whether it is on the list of runs or not, and whatever the panel is set to now."""
     barrier.hold_at("step 3")
@@ -386,13 +387,12 @@ def test_causes(module):
         (None, "x\nRuntimeError: [enforce fail] DefaultCPUAllocator: can't allocate memory: you tried to allocate 9 bytes.", 1, "memory"),
         (None, "", -9, "memory"), ("checkpoint could not be written: No space left on device", "", 2, "disk is full"),
         (None, "Traceback\nModuleNotFoundError: No module named 'torch'", 1, "lacks torch"),
-        ("the capture is gone.", "", 2, "The capture is gone."), (None, "", None, "unexpectedly"),
+        ("the capture is gone.", "", 2, "The capture is gone."), (None, "", None, "unexpectedly"), (None, "", 0xC0000005, "0xc0000005"),
         (None, "fastgs: /x: there is no such capture; check the name.", 2, "there is no such capture"),
         (None, "fastgs: 3 of 20 Gaussians are left out.", -9, "ended by the system"),
         (None, "fastgs: 3 of 20 Gaussians are left out.", -11, "SIGSEGV"), (None, "fastgs: lost: the cameras.", -15, "SIGTERM"),
         (None, "fastgs: lost: the cameras.\nValueError: odd", 1, "ValueError: odd"), (None, "fastgs: a remark.", 1, "unexpectedly"),
-        ("the capture is gone.", "not enough memory for the GPU, so the processor is used", 2, "The capture is gone."),
-        (None, "", 0xC0000005, "0xc0000005"))
+        ("the capture is gone.", "not enough memory for the GPU, so the processor is used", 2, "The capture is gone."))
     for reason, said, code, words in cases:
         text = sentence(reason, said, code, "/out")
         assert words in text and text.endswith(".") and "\n" not in text and ("left out" in text) == (words == "left out")

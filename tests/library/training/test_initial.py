@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
 
 import numpy as np
@@ -34,6 +35,7 @@ def card_x(t):
     return -0.9 + 2.4 * t
 
 
+@cache
 def texture(seed) -> np.ndarray:
     """Smooth noise of three scales [1024, 1024, 3]."""
     rng = np.random.default_rng(seed)
@@ -42,13 +44,10 @@ def texture(seed) -> np.ndarray:
     return (layers[0] + layers[1] + layers[2]) / (3 * 255)
 
 
-TEXTURES = [texture(seed) for seed in range(3)]
-
-
 def colour(part, u, v) -> np.ndarray:
     """Of places on a plane, which is 12 units wide at most; on the card everything is finer."""
     column, row = (np.floor(x * 1024 / (12 if part < 2 else 5)).astype(int) + 512 for x in (u, v))
-    return TEXTURES[part][row, column]
+    return texture(part)[row, column]
 
 
 def look(t, camera) -> np.ndarray:
@@ -156,7 +155,7 @@ def test_points_have_the_colours_of_the_pictures(found, filmed):
     assert points.rgb.max() <= 1
     on_wall = np.isnan(points.t) & (np.abs(points.xyz[:, 2] - WALL) < 0.05) & (np.abs(points.xyz[:, :2]) < 5).all(1)
     true = colour(1, points.xyz[on_wall, 0], points.xyz[on_wall, 1])
-    assert np.abs(points.rgb[on_wall] - true).mean() < 0.6 * np.abs(TEXTURES[1].mean((0, 1)) - true).mean()
+    assert np.abs(points.rgb[on_wall] - true).mean() < 0.6 * np.abs(texture(1).mean((0, 1)) - true).mean()
 
 
 @pytest.mark.slow
