@@ -68,9 +68,9 @@ def camera(name: str, where: str, matrix: object, distortion: object, rotation: 
     matrix = poses.numbers(matrix, (3, 3), f"{where}: its matrix")
     if matrix[0, 0] <= 0 or matrix[1, 1] <= 0 or np.abs(matrix[[1, 2, 2, 2], [0, 0, 1, 2]] - [0, 0, 0, 1]).max() > 1e-6:
         raise FastGSError(f"{where}: its matrix must be fx 0 cx, 0 fy cy, 0 0 1 with focal lengths above 0.")
-    turn = np.squeeze(_array(rotation, f"{where}: its rotation"))
+    turn = np.squeeze(poses.numbers(rotation, None, f"{where}: its rotation"))
     turn = turn if turn.shape == (3, 3) else from_rodrigues(turn, f"{where}: its rotation")
-    shift = poses.numbers(np.ravel(_array(translation, f"{where}: its translation")), (3,), f"{where}: its translation")
+    shift = poses.numbers(np.ravel(poses.numbers(translation, None, f"{where}: its translation")), (3,), f"{where}: its translation")
     pose = poses.rigid(rotations.transform(turn, shift), f"{where}: its rotation and translation")
     if size is not None:
         sides = poses.listed(list(size), f"{where}: its size", 2)[:2]
@@ -80,7 +80,7 @@ def camera(name: str, where: str, matrix: object, distortion: object, rotation: 
 
 def lens_of(distortion: object, fisheye: bool, skew: float, where: str) -> Lens:
     """The lens with OpenCV's vector of distortion, None or of any length."""
-    given = np.ravel(_array([] if distortion is None else distortion, f"{where}: its distortion"))
+    given = np.ravel(poses.numbers([] if distortion is None else distortion, None, f"{where}: its distortion"))
     most = 4 if fisheye else 8
     if np.any(given[most:]):
         raise FastGSError(f"{where}: its distortion has {len(given)} coefficients, and {most} are known here; calibrate it without thin "
@@ -140,16 +140,3 @@ def upright_axes(given: Sequence[np.ndarray]) -> str:
     """The axes, of those that GaussianModel knows, whose upward direction is nearest to that of cameras with these poses [4, 4]."""
     up = -np.sum([pose[1, :3] for pose in given], 0)
     return max(("RDF", -up[1]), ("RFU", up[2]), ("RUB", up[1]), key=lambda pair: pair[1])[0]
-
-
-def _array(value: object, where: str) -> np.ndarray:
-    """Finite numbers of any shape, at most two dimensions."""
-    try:
-        if isinstance(value, (str, bool, dict)):
-            raise TypeError
-        array = np.asarray(value, np.float64)
-    except (TypeError, ValueError, OverflowError):
-        array = np.full(1, np.nan)
-    if array.ndim > 2 or not np.isfinite(array).all():
-        raise FastGSError(f"{where} must be finite numbers.")
-    return array

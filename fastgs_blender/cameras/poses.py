@@ -66,16 +66,17 @@ def repeated(names: Iterable[str]) -> str | None:
     return next((name for name, times in Counter(names).items() if times > 1), None)
 
 
-def numbers(value: object, shape: tuple[int, ...], where: str) -> np.ndarray:
-    """Finite float64 of that shape."""
+def numbers(value: object, shape: tuple[int, ...] | None, where: str) -> np.ndarray:
+    """Finite float64 of that shape; None: of any shape of at most two dimensions."""
     try:
         if isinstance(value, (str, bool, dict)):
             raise TypeError
         array = np.array(value, np.float64)
     except (TypeError, ValueError, OverflowError):
-        array = np.full(shape, np.nan)
-    if array.shape != shape or not np.isfinite(array).all():
-        raise FastGSError(f"{where} must be {'a finite number' if not shape else ' x '.join(map(str, shape)) + ' finite numbers'}.")
+        array = np.full(shape or 1, np.nan)
+    if (array.ndim > 2 if shape is None else array.shape != shape) or not np.isfinite(array).all():
+        count = "" if shape is None else " x ".join(map(str, shape)) + " "
+        raise FastGSError(f"{where} must be {'a finite number' if shape == () else count + 'finite numbers'}.")
     return array
 
 

@@ -26,6 +26,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError, printable
+from ..util.outputs import make_folder
 from ..util.progress import progress
 from ..util.screen import COLUMNS
 from .shared import add_backend, chosen_backend, human_bytes, model_file, note, print_json, say_table, use_threads
@@ -56,7 +57,7 @@ def run(args: argparse.Namespace) -> None:
     from ..captures.pixels.checks import check
     from ..captures.pixels.store import FrameStore
     from ..evaluation import report
-    from ..evaluation.evaluate import chosen, evaluate, make_folder
+    from ..evaluation.evaluate import chosen, evaluate
     from ..evaluation.training_record import recorded
     from ..util.backends import load_backend
 
@@ -75,7 +76,7 @@ def run(args: argparse.Namespace) -> None:
     check(replace(capture, shots=shots, faults=[]))
     backend = chosen_backend(args)  # last: the first time a GPU is tested, which takes a moment
     load_backend(backend)  # or it says that there is none
-    make_folder(out)
+    make_folder(out, "results")
     store = FrameStore(capture, 0)
     try:
         with progress(len(store.missing(shots)), "frame", "decoding", quiet=args.quiet) as bar:

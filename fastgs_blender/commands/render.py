@@ -25,6 +25,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from ..util.errors import FastGSError
+from ..util.outputs import make_folder
 from ..util.progress import progress
 from .shared import OWN, add_backend, chosen_backend, colour, image_size, model_file, note, note_frames_outside, print_json, use_threads
 
@@ -103,7 +104,7 @@ def run(args: argparse.Namespace) -> None:
                     background, exposure)
         return
     out = Path(args.out)
-    _make_folder(out)
+    make_folder(out, "frames")
     files = [out / f"{frames.label(frame)}.{args.format}" for frame in frames]
     blur = {} if exposure is None else {"exposure": [args.shutter, args.steps, args.aperture, args.focus, args.lens_samples]}
     drawing = ({"antialias": False} if args.no_antialias else {}) | ({} if args.sorting == "centre" else {"sorting": args.sorting})
@@ -220,8 +221,3 @@ def _over(image: Image, background: list[float], colour_space: str) -> Image:
     return {**image, "rgb": over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
 
 
-def _make_folder(folder: Path) -> None:
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FastGSError(f"{folder}: the folder for the frames cannot be made ({error.strerror}).") from error

@@ -23,6 +23,7 @@ from ..rendering.images import write_png
 from ..util.arguments import shown
 from ..util.backends import describe_backend
 from ..util.errors import FastGSError
+from ..util.outputs import make_folder
 from . import halves, metrics
 from .film import available, film
 from .perceptual import Flip, Lpips, Unavailable
@@ -90,7 +91,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
             except Unavailable as reason:
                 notes.append(str(reason))
     if out is not None:
-        make_folder(Path(out))
+        make_folder(Path(out), "results")
     if out is not None and not available():
         notes.append("no film is written, as PyAV is not installed (pip install av)")
 
@@ -155,14 +156,6 @@ def _remarks(rows: list[dict[str, Any]], known: TrainingRecord | None) -> list[s
         remarks.append(f"{seen} of the {len(rows)} pictures were trained on: they tell how well the model remembers, "
                        "not how well it holds in new views")
     return remarks
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder for results; raises FastGSError where that cannot be."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise FastGSError(f"{folder}: the folder for the results cannot be made ({error.strerror}); choose another with --out.") from error
 
 
 def chosen(capture: Capture, views: Sequence[str] | None = None, frames: Sequence[int] | None = None,

@@ -29,6 +29,14 @@ _cleared: set[str] = set()
 """Folders from which this process has removed leftovers."""
 
 
+def make_folder(folder: Path, what: str) -> None:
+    """Make a folder for what a command writes; raises FastGSError where that cannot be."""
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+    except OSError as error:
+        raise FastGSError(f"{folder}: the folder for the {what} cannot be made ({error.strerror}); choose another with --out.") from error
+
+
 @contextmanager
 def replacing(paths: list[Path]) -> Iterator[list[Path]]:
     """Temporary files that take the place of `paths`, all or none, when the block ends well; several lie in one folder.
