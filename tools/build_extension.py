@@ -89,9 +89,10 @@ def build(name: str, bundled: list[Path], out: Path, website: str | None = None,
 
 def pack(folder: Path, target: Path) -> None:
     """A folder as a zip whose bytes depend on its files alone: sorted, of one time, and stored, as libraries compress differently."""
+    when = made().timetuple()[:6]
     with zipfile.ZipFile(target, "w", zipfile.ZIP_STORED) as file:
         for path in sorted((path for path in folder.rglob("*") if path.is_file()), key=lambda path: path.relative_to(folder).as_posix()):
-            entry = zipfile.ZipInfo(path.relative_to(folder).as_posix(), made().timetuple()[:6])
+            entry = zipfile.ZipInfo(path.relative_to(folder).as_posix(), when)
             entry.create_system, entry.external_attr = 3, 0o644 << 16
             file.writestr(entry, path.read_bytes())
 
