@@ -7,9 +7,12 @@ and frame is nearly the same function for both cameras, shifted by their clocks 
 
     occupancy  0..1 of each pixel and frame: how far it is from its median over time, above the noise
     profile    [K, F] of a camera in a pair: how much of the K planes is occupied
-    lag        the shift of one profile against the other with the least truncated absolute difference; what only one camera sees is cut
-               off.  (Shifts by a few planes as well, for calibrations that are not exact, made lags worse: up and down moves at the same
-               speed cancel such errors, while a shift of planes is as good as one of time for what moves evenly.)
+    lag        the shift of one profile against the other with the least truncated square of the difference; what only one camera sees
+               is cut off.  (Shifts by a few planes as well, for calibrations that are not exact, made lags worse: up and down moves at
+               the same speed cancel such errors, while a shift of planes is as good as one of time for what moves evenly.)
+
+Absolute differences would give a median of lags.  A fast edge comes into each plane at a whole frame in both pictures, so that the median
+would be a whole number of frames.
 """
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
@@ -37,8 +40,8 @@ NOISE, SOLID = 2.0, 8.0
 """Differences from the median over time, in units of the noise, at which a pixel begins to count and counts in full."""
 FULL = 3.0
 """Occupied pixels of a plane that make it about two thirds occupied."""
-CUT = 0.25
-"""Largest difference of two profiles that counts."""
+MOVES, CUT = 0.25, 0.5
+"""Least change of a plane's profile over the clip, in sum, for it to count; largest difference of two profiles that counts."""
 PARTS = 8
 """Parts of the clip, each of which is left out once for the standard deviation of the lag."""
 ALONE = 0.1
@@ -204,7 +207,7 @@ def lag_of(a: np.ndarray, b: np.ndarray) -> tuple[float, float, float] | None:
     """
     frames = a.shape[1]
     a, b = _smoothed(a), _smoothed(b)
-    moves = (np.abs(np.diff(a)).sum(1) > CUT) & (np.abs(np.diff(b)).sum(1) > CUT)
+    moves = (np.abs(np.diff(a)).sum(1) > MOVES) & (np.abs(np.diff(b)).sum(1) > MOVES)
     most = min(MOST_LAG, frames - LEAST_FRAMES, frames // 2)
     if moves.sum() < LEAST_PLANES or most < 1:
         return None
@@ -232,15 +235,15 @@ def _smoothed(profile: np.ndarray) -> np.ndarray:
 
 
 def _costs(a: np.ndarray, b: np.ndarray, lags: np.ndarray, ends: np.ndarray | None = None) -> np.ndarray:
-    """Sums [lags, PARTS, 2] of the truncated differences over planes and frames, and how many frames; ends: lags between which all compare
-    the same frames, or None."""
+    """Sums [lags, PARTS, 2] of the truncated squares of differences over planes and frames, and how many frames; ends: lags between which
+    all compare the same frames, or None."""
     frames = np.arange(a.shape[1])
     part = frames * PARTS // len(frames)
     found = np.zeros((len(lags), PARTS, 2))
     for n, lag in enumerate(lags):
         low, high = (lag, lag) if ends is None else ends
         inside = (frames + low >= 0) & (frames + high <= frames[-1])
-        cost = np.minimum(np.abs(between(a, (frames + lag)[inside]) - b[:, inside]), CUT).sum(0)
+        cost = np.minimum((between(a, (frames + lag)[inside]) - b[:, inside])**2, CUT**2).sum(0)
         found[n] = np.stack([np.bincount(part[inside], cost, PARTS), np.bincount(part[inside], minlength=PARTS)], 1)
     return found
 
