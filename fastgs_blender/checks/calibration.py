@@ -23,6 +23,9 @@ FAR_OFF = 3.0
 LEAST_POINTS = 12
 BORDER, RISE = 0.7, 1.5
 """The border of a picture begins at this share of half its diagonal; pixels by which errors there may exceed those inside."""
+RING, BEGINS, QUARTER = 0.5, 0.1, 4
+"""Where errors of a lens begin to be seen, and the share of those at the border that they have between here and there; least number of
+features at the border for a quarter of the picture to count."""
 EMPTY = 0.15
 """Largest share of a picture that may be empty after undistortion."""
 ODD_FOCAL, ODD_CENTRE = 0.05, 0.15
@@ -57,12 +60,17 @@ def run(inspection: Inspection) -> Section:
                     "others fit, or it is so beside a single camera: floors and walls that repeat themselves look like that.",
                     "Trust the calibration if its own report is good. Else put things with patterns of their own into the scene, and look "
                     "again.", unsure)
-    sure = 2 * len(unsure) < sum(miss > OFF for miss in error.values())  # of most large errors: otherwise they may be wrong matches
-    if not bad and np.isfinite(usual) and usual > OFF and sure:
+    rest = [view for view, miss in error.items() if miss > OFF and view not in (*bad, *unsure)]
+    if not bad and np.isfinite(usual) and usual > OFF and len(rest) > len(unsure):  # otherwise they may be wrong matches
         section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
                     "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
                     "neither cropped, turned nor stabilised, and that lens correction in the cameras was the same as when they were "
                     "calibrated.", (), ("reprojection error", round(usual, 3), "pixels"))
+    elif rest:
+        most = max(error[view] * scale[view] for view in rest)
+        section.add("poor", f"Features of {listed(rest)} are up to {most:.1f} pixels from where the other cameras put them. Which cameras "
+                    "are calibrated wrongly cannot be told.", "Calibrate again. Training corrects small errors (--poses auto).",
+                    rest, ("reprojection error", round(most, 3), "pixels"))
     _borders(section, inspection, matches, bad)
     unknown = [view for view in inspection.views if not np.isfinite(error[view])]
     if unknown:
@@ -131,26 +139,39 @@ def _tell(section: Section, inspection: Inspection, matches: Matches, view: str,
 
 def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Collection[str]) -> None:
     """Whether errors are larger near the borders, which means that the calibration's lens model is wrong."""
-    inside: dict[str, dict] = {view: {} for view in inspection.views}
-    outside: dict[str, dict] = {view: {} for view in inspection.views}
+    found: dict[str, dict] = {view: {} for view in inspection.views}
     for pair in matches.pairs:
-        if pair.a in bad or pair.b in bad:
+        if pair.a in bad or pair.b in bad or np.median(pair.distance) > OFF:  # where nothing fits, the border tells nothing
             continue
         for k, view in enumerate((pair.a, pair.b)):
-            each = matches.features[pair.moment, view]
-            middle = np.array([each.camera.width, each.camera.height]) / 2
-            radius = np.linalg.norm((each.places[pair.rows[:, k]] - middle), axis=1) / np.linalg.norm(middle)
-            other = (pair.b, pair.a)[k]
-            for (x, y), far, error in zip(each.places[pair.rows[:, k]] // CLOSE, radius > BORDER, pair.distance):
-                (outside if far else inside)[view][other, x, y] = error  # what stands still is one place at all moments
-    errors = {view: [np.array(list(part[view].values())) for part in (inside, outside)] for view in inspection.views}
-    errors = {view: parts for view, parts in errors.items() if min(map(len, parts)) >= LEAST_POINTS}
-    rise = {view: float(np.median(far) - np.median(near)) for view, (near, far) in errors.items()}
-    for view in [view for view, (near, far) in errors.items() if surely_off(far, float(np.median(near)) + RISE)]:
-        section.add("poor", f"Near the borders of {view}, matches miss by {rise[view]:.1f} pixels more than in its middle: its lens is not "
-                    "what the calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of "
-                    "distortion or as a fisheye.", [view], ("rise at the border", round(rise[view], 3), "pixels"))
-    section.measures["border_rise_pixels"] = {view: round(value, 4) for view, value in rise.items()}
+            camera, places = matches.features[pair.moment, view].camera, matches.features[pair.moment, view].places[pair.rows[:, k]]
+            middle = np.array([camera.width, camera.height]) / 2
+            radius = np.linalg.norm(places - middle, axis=1) / np.linalg.norm(middle)
+            for place, corner, far, error in zip(places // CLOSE, places > middle, radius, pair.distance):
+                found[view][(pair.b, pair.a)[k], *place] = error, far, corner @ (1, 2)  # what stands still is one place at all moments
+    rises = {view: rise for view, each in found.items() if each and (rise := _rise(np.array(list(each.values())))) is not None}
+    for view in [view for view, (_, sure) in rises.items() if sure]:
+        section.add("poor", f"Near the borders of {view}, matches miss by {rises[view][0]:.1f} pixels more than in its middle: its lens is "
+                    "not what the calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of "
+                    "distortion or as a fisheye.", [view], ("rise at the border", round(rises[view][0], 3), "pixels"))
+    section.measures["border_rise_pixels"] = {view: round(value, 4) for view, (value, _) in rises.items()}
+
+
+def _rise(features: np.ndarray) -> tuple[float, bool] | None:
+    """By how many pixels errors are larger beyond BORDER than inside, and whether the lens is surely the reason; None of too few.
+
+    features  [M, 3]: errors, radii as a share of half the diagonal, and numbers of the picture's quarters
+    Wrong matches lie in one quarter, and their errors begin at once.  Those of a lens are in all quarters, and grow towards the border.
+    """
+    errors, radius, quarter = features.T
+    near, far = errors[radius <= BORDER], errors[radius > BORDER]
+    if min(len(near), len(far)) < LEAST_POINTS:
+        return None
+    rise, least = float(np.median(far) - np.median(near)), float(np.median(near)) + RISE
+    quarters = [each for k in range(4) if len(each := errors[(radius > BORDER) & (quarter == k)]) >= QUARTER]
+    inner, ring = errors[radius <= RING], errors[(radius > RING) & (radius <= BORDER)]
+    begins = len(inner) and len(ring) and np.median(ring) - np.median(inner) > BEGINS * rise
+    return rise, bool(surely_off(far, least) and begins and len(quarters) > 1 and min(map(np.median, quarters)) > least)
 
 
 def _lenses(section: Section, inspection: Inspection) -> None:

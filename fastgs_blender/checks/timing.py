@@ -1,5 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
+from contextlib import suppress
+from dataclasses import replace
+
 from ..captures.clocks.curves import activity, moving
 from ..captures.clocks.find import LEAST, Found, find_offsets
 from ..captures.evidence import differs
@@ -29,6 +32,10 @@ def run(inspection: Inspection) -> Section:
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs sync "
                     "on that part of it; else look at two cameras side by side.")
         return section
+    if found.curves is None and found.clocks.found_by == "motion":  # compared by poses, which must be right
+        with suppress(FastGSError):  # without pycolmap
+            misplaced = [view for view in inspection.judged.wrong if view not in found.lost]
+            found = replace(found, lost=(*found.lost, *misplaced))
     _judge(section, found)
     if found.curves is not None:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}
@@ -57,5 +64,5 @@ def _judge(section: Section, found: Found) -> None:
                     "trigger.", [view], ("offset", round(value, 3), "frames"))
     if found.lost:
         section.add("note", f"Unsure: the clock of {listed(found.lost)} could not be compared well enough with the others'. Too little "
-                            "moves there, or it looks too different. Training leaves it as it is.",
+                            "moves there, it looks too different, or the camera's pose is wrong. Training leaves it as it is.",
                     "Look at those cameras beside another one at a fast movement.", found.lost)

@@ -26,8 +26,9 @@ CHANCE = 4.5
 Fisher's z, the best of several shifts: in 15 frames, or 40 of slow motion, almost only equal curves are."""
 LEAST = 0.1
 """Frames by which an offset must differ from 0 to count (captures/evidence.py)."""
-VAGUE = 0.15
-"""Standard deviation, in frames, beyond which motion leaves a clock unsure whose offset does not count."""
+VAGUE, MOST_VAGUE = 0.15, 0.3
+"""Standard deviations, in frames, beyond which motion leaves a clock unsure: one whose offset does not count; and any one, in the planes of
+known poses (of a camera that was turned by two degrees, an offset of six frames was found)."""
 FLASH_ERROR, CURVES_ERROR = 0.3, 1.0
 """Standard deviations in frames of what a flash gives, and of what curves of motion give, which are only alike (genlocked people before
 four cameras: up to 2 frames)."""
@@ -103,6 +104,7 @@ def by_epipolar_planes(capture: Capture, progress: Callable[[int, int], None] | 
     centres = {shot.view: shot.camera.centre for shot in capture.shots if shot.camera is not None}
     # Clocks do not go by where cameras stand, but when the sides of a thing that turns are seen does.
     deviations = np.hypot(deviations, grown(offsets, np.array([centres[view] for view in views])))
+    deviations[deviations > MOST_VAGUE] = np.inf
     return _found(capture, dict(zip(views, zip(offsets, deviations))), "motion", None, VAGUE)
 
 

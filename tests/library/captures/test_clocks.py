@@ -74,7 +74,7 @@ def test_a_genlocked_capture_stays_as_it_is(frames, tmp_path):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("late, speed", [(-2.75, 1), (-0.5, 1), (0.3, 1), (3.0, 1), (-1.25, 2), (0.4, 4)])
+@pytest.mark.parametrize(("late", "speed"), [(-2.75, 1), (-0.5, 1), (0.3, 1), (3.0, 1), (-1.25, 2), (0.4, 4)])
 def test_fractions_are_found_or_called_unsure(late, speed, tmp_path):
     """Edges of fast things come into a plane at whole frames: the fraction is in how many of them come one frame later."""
     found = find_offsets(open_capture(write_uneven(tmp_path, 24, 4, {"cam01": late}, zoom=3, speed=speed), offsets={}))
@@ -82,6 +82,16 @@ def test_fractions_are_found_or_called_unsure(late, speed, tmp_path):
         assert found.clocks.offsets[view] == pytest.approx(0, abs=0.1)
     assert "cam01" in found.lost or found.clocks.offsets["cam01"] == pytest.approx(late, abs=0.1)
     assert len(found.lost) < 2
+
+
+def test_vague_offsets_are_unsure(shifted, monkeypatch):
+    """As of a camera whose pose is wrong: its planes show other things than those of the others."""
+    capture = open_capture(shifted, offsets={})
+    for error, lost in ((0.05, ()), (1.0, ("cam04",))):
+        pairs = [lags.Pair(i, j, 6.0 * (j == 4), error if j == 4 else 0.05, 0.5) for j in range(5) for i in range(j)]
+        monkeypatch.setattr(epipolar, "pairs", lambda *_, pairs=pairs: (capture.views, pairs))
+        found = by_epipolar_planes(capture)
+        assert found.lost == lost and found.clocks.offsets["cam04"] == pytest.approx(0.0 if lost else 6.0, abs=0.1)
 
 
 def test_cameras_that_see_different_things_are_unsure(tmp_path):

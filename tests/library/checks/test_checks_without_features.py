@@ -4,14 +4,16 @@ from __future__ import annotations
 
 import itertools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
 from filmed_room import write_room
 from PIL import Image
+from uneven_captures import write_uneven
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.checks import calibration, cost, exposure
+from fastgs_blender.checks import calibration, cost, exposure, timing
 from fastgs_blender.checks.matching import Matches, Pair
 from fastgs_blender.checks.reprojection import Judged
 from fastgs_blender.checks.samples import Inspection, sample
@@ -106,6 +108,39 @@ def test_a_lens_that_bends_more_than_its_calibration_is_seen_near_the_borders(tm
             section = calibration.run(inspection(path, Matches(each, {}, pairs, 2)))
         assert views <= set(told(section)) and "cam00" not in told(section)
         assert all("lens" in told(section)[view] and "calibration" in told(section)[view] for view in views)
+
+
+def test_wrong_matches_near_one_side_are_no_fault_of_a_lens(tmp_path, inspection):
+    """A curtain that repeats itself at the edge: errors of whole folds, beside exact matches."""
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    aside = (np.arange(60) % 2 == 0) * np.random.default_rng(1).uniform(8, 10, 60)
+    each, pairs = made_up(path, lambda view, radius: 0.3 + (radius > 0.7) * aside)
+    keep = (np.arange(60) % 2 == 0) | (np.linspace(0.05, 0.98, 60) < 0.7)
+    pairs = [replace(pair, rows=pair.rows[keep], distance=pair.distance[keep]) for pair in pairs]
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Matches, "good_points", lambda self, bad: np.zeros((0, 3)))
+        assert not told(calibration.run(inspection(path, Matches(each, {}, pairs, 2))))
+
+
+def test_surely_large_errors_are_told_where_no_camera_can_be_named(tmp_path, inspection):
+    path = write_room(tmp_path / "made", 3, 2, spread=0.4, detail=1)
+    each, pairs = made_up(path, lambda view, radius: 0.3 + 0 * radius)
+    found = inspection(path, Matches(each, {}, pairs, 2))
+    found.__dict__["judged"] = Judged({"cam00": 1.0, "cam01": 4.3, "cam02": 1.9}, [], ["cam02"])
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Matches, "good_points", lambda self, bad: np.zeros((0, 3)))
+        findings = calibration.run(found).findings
+    assert {finding.views: finding.severity for finding in findings} == {("cam02",): "note", ("cam01",): "poor"}
+
+
+def test_a_clock_is_not_judged_by_a_wrong_pose(tmp_path):
+    capture = open_capture(write_uneven(tmp_path, 24, 4, {"cam01": 1.6}, zoom=3), offsets={})
+    for wrong in ([], ["cam01"]):
+        found = Inspection(capture)
+        found.__dict__["judged"] = Judged(dict.fromkeys(capture.views, 0.4), wrong)
+        section = timing.run(found)
+        assert section.measures["unknown"] == wrong
+        assert [finding.severity for finding in section.findings if "cam01" in finding.views] == (["note"] if wrong else ["wrong"])
 
 
 def test_another_white_balance_is_named_by_its_channel(tmp_path, inspection):
