@@ -21,9 +21,9 @@ FINE = 1000
 """Directions among which those of one side are chosen,"""
 BESIDE = 0.866
 """and the cosine of the largest angle between them and a camera, 30 degrees: what cameras see at a flat angle is told from there."""
-UNFACED = 0.2
-"""Share of all directions that no camera faces, from which on a subject counts as filmed from one side: cameras on an arc of 108 degrees
-leave so many."""
+UNFACED = 0.14
+"""Share of all directions that no camera faces, from which on a subject counts as filmed from one side: cameras on a level arc of 130
+degrees leave so many, and those of a ring that look down by 46 degrees."""
 FINER = 1.5
 """Pixels to each voxel's edge."""
 SOLID = 0.5
