@@ -36,10 +36,10 @@ def absent(addon):
         addon.register()
 
 
-def test_twenty_times_leave_nothing(absent):
+def test_many_times_leave_nothing(absent):
     nothing = traces()
     everything = None
-    for _ in range(20):
+    for _ in range(6):
         absent.register()
         here = traces()
         assert everything in (None, here)

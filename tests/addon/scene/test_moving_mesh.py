@@ -166,7 +166,7 @@ def test_cloth_lies_on_a_ball_that_goes_up_and_down(scene, fg, model_file):
     up = 0.4 * np.sin(2 * np.pi * frames / 12)[:, None, None] * [0, 0, 1]
     bpy.ops.import_scene.fastgs(filepath=model_file(fg.bake(points + up, triangles, frames=frames, frame_count=12, count=5000)[0]))
     splat = bpy.context.object
-    bpy.ops.fastgs.make_mesh(detail=40)
+    bpy.ops.fastgs.make_mesh(detail=64)
     made, = (obj for obj in scene.objects if obj.fastgs.surface_of == splat)
     made.modifiers.new("Collision", 'COLLISION')
     bpy.ops.mesh.primitive_grid_add(x_subdivisions=24, y_subdivisions=24, size=2.4, location=(0, 0, 1.9))

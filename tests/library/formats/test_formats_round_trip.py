@@ -68,7 +68,7 @@ def test_every_model_that_is_saved_is_loaded_again(tmp_path, pxr, few_pictures, 
 
     still = models(still=True)
 
-    @settings(max_examples=2 if compress else 30)  # compression renders each model many times
+    @settings(max_examples=2 if compress else 15)  # compression renders each model many times
     @example(model=random_model(np.random.default_rng(1), 40, appearance="sh1"))
     @given(model=still if any(extension in known.extensions for known in STATIC) else st.one_of(models(), still))
     def holds(model):
