@@ -27,7 +27,8 @@ FIRST = ("test_frusta.py",)
 """Files that begin: Blender 5.2 as a module crashes in Image.gl_load, because its shader for smaller copies of an image was freed, if
 certain other files ran before in the same process, test_viewport.py for one."""
 SLOWEST = ("test_maintenance.py", "test_training_jobs.py", "test_docs_python.py", "test_example_script.py", "test_viewport_pictures.py",
-           "test_export_splats.py", "test_engine_passes.py", "test_batch.py")
+           "test_export_splats.py", "test_engine_passes.py", "test_batch.py", "test_stitch.py", "test_capture_scene.py",
+           "test_export_page.py", "test_bake_operator.py", "test_moving_mesh.py")
 """Files that take longest.  They begin first, so that no worker is left alone with one at the end; the first compiles for all."""
 
 USER = tempfile.TemporaryDirectory(prefix="fastgs-blender-")
