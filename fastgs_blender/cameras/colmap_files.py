@@ -56,6 +56,15 @@ def has_model(folder: Path) -> bool:
     return any((folder / f"cameras.{kind}").is_file() and (folder / f"images.{kind}").is_file() for kind in ("bin", "txt"))
 
 
+def largest(folder: Path) -> Path:
+    """Of a mapper's models 0, 1 ... beside one of them, that with the largest file of images: each holds what it could join, and the
+    first may be a pair.  Another folder's name: the folder."""
+    if not folder.name.isdecimal():
+        return folder
+    models = [each for each in folder.parent.iterdir() if each.name.isdecimal() and has_model(each)]
+    return max(sorted(models), key=lambda each: max(file.stat().st_size for file in each.glob("images.*")))
+
+
 def read_images(folder: Path) -> list[ColmapImage]:
     """The registered pictures of a model, by name; binary files where there are both.  Raises FastGSError."""
     with reading(folder, DAMAGED):

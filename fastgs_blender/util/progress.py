@@ -57,12 +57,13 @@ class Lines(Progress):
         super().__init__(*arguments, **options)
         self.begun = self.since = self.shown = self.clock()
         self.first = self.last = self.n
+        self.going = False
 
     def to(self, done: int, total: int | None = None) -> None:
         super().to(done, total)
         now = self.clock()
-        if done <= self.first:
-            self.since = now  # what comes before the first piece says nothing of how long pieces take
+        if not self.going:  # what comes before the first piece says nothing of how long pieces take
+            self.going, self.since, self.first = done > self.first, now, max(done, self.first)
         if now - self.shown >= SECONDS:
             self._show()
 

@@ -10,7 +10,7 @@ from ...util import rotations
 from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.stated_paths import below
-from ..colmap_files import MODELS, has_model, read_images, read_points
+from ..colmap_files import MODELS, has_model, largest, read_images, read_points
 from .base import CameraPath, Picture, frame_names, pinholes, warn_of_rate
 
 name, label = "colmap", "COLMAP model (folder)"
@@ -24,7 +24,7 @@ FILES = (".json", ".txt", ".bin", ".zip", ".ssproj")
 def folder_of(path: Path) -> Path | None:
     """The folder of a model, where `path` is one, one of its files, or a project's folder."""
     path = path.parent if path.name.lower() in PARTS and not path.is_dir() else path
-    return next((path / place for place in PLACES if has_model(path / place)), None)
+    return next((largest(path / place) if place else path for place in PLACES if has_model(path / place)), None)
 
 
 def load(folder: Path, values: None, picture: Picture) -> CameraPath:

@@ -92,8 +92,8 @@ def offsets_from_pairs(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, n
     """(offsets [count], their standard deviations [count]) that agree best with the pairs; the median of the offsets is 0.
 
     The sum of absolute differences is least, so that a few wrong pairs do no harm.  Where pairs differ from the offsets by more than their
-    errors, deviations grow.  What one pair alone reaches has twice the deviation, as nothing contradicts it; what no pair reaches is NaN,
-    with the deviation inf.
+    errors, deviations grow.  What one pair alone tells has twice the deviation, as nothing contradicts it, also beside pairs that are far
+    less exact; with four that are equally exact it is as it is.  What no pair reaches is NaN, with the deviation inf.
     """
     offsets, deviations = np.full(count, np.nan), np.full(count, np.inf)
     group = max(groups.joined(range(count), [(pair.i, pair.j) for pair in pairs]), key=len)
@@ -110,12 +110,14 @@ def offsets_from_pairs(count: int, pairs: Sequence[Pair]) -> tuple[np.ndarray, n
         weights = 1 / (errors * (np.abs(rows @ found - lags) + 1e-3))
         found = np.linalg.lstsq(np.sqrt(weights)[:, None] * rows, np.sqrt(weights) * lags, rcond=None)[0]
     away = np.abs(rows @ found - lags)
-    information = rows.T @ (rows / (errors**2 + away**2)[:, None])
+    weights = 1 / (errors**2 + away**2)
+    information = rows.T @ (rows * weights[:, None])
     least = np.sqrt(np.diag(np.linalg.pinv(information, hermitian=True)))
     surprise = away / errors / 0.6745  # its median is 1 where the errors are right
     for camera, k in place.items():
-        own = surprise[rows[:, k] != 0]
-        deviations[camera] = least[k] * (max(1.0, np.median(surprise), np.median(own)) if len(own) > 1 else 2.0)
+        own = rows[:, k] != 0
+        told_by = weights[own].sum() ** 2 / (weights[own] ** 2).sum()
+        deviations[camera] = least[k] * max(1.0, np.median(surprise), np.median(surprise[own]), 2 / np.sqrt(told_by))
     offsets[group] = found - np.median(found)
     return offsets, deviations
 

@@ -121,6 +121,7 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
         cameras.append(moving)
     lost = [image.name for image, stream in zip(images, streams) if stream is None]
     notes += [f"left out, for they are no sequences: {', '.join(lost[:6])}{' ...' if len(lost) > 6 else ''}"] if lost else []
+    notes += [f"the model {model.name} is used, the largest of those beside it"] if model.name.isdecimal() and int(model.name) else []
     settings: dict[str, Any] = dict(fps=fps or 30.0, start_frame=start, points=points, notes=notes, faults=faults)
     rig = [camera for camera in cameras if isinstance(camera, RigCamera)]
     if len(rig) == len(cameras):

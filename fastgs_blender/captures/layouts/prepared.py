@@ -9,7 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
-from ...cameras.colmap_files import has_model, read_images, read_points
+from ...cameras.colmap_files import has_model, largest, read_images, read_points
 from ..capture import Points
 
 MODEL_PLACES = ("sparse/0", "sparse", ".", "manual", "colmap/sparse/0", "distorted/sparse/0")
@@ -19,7 +19,7 @@ SAME = 1e-3
 
 def model_place(path: Path) -> Path | None:
     """Where a workspace has its model; None where it has none."""
-    return next((path / place for place in MODEL_PLACES if has_model(path / place)), None)
+    return next((largest(path / place) for place in MODEL_PLACES if has_model(path / place)), None)
 
 
 def frame_workspaces(path: Path) -> dict[int, Path]:

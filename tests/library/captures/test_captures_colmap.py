@@ -13,6 +13,7 @@ from spots import SpotRig
 import fastgs_blender as fg
 from fastgs_blender.cameras.colmap_files import MODELS
 from fastgs_blender.cameras.lens import Intrinsics, Lens
+from fastgs_blender.cameras.paths.colmap import folder_of
 from fastgs_blender.captures import open_capture, open_scan
 from fastgs_blender.captures.pixels.checks import problems
 
@@ -86,6 +87,16 @@ def test_photographs_that_belong_to_no_film_are_a_scan(tmp_path):
     write_model(tmp_path / "sparse/0", [f"{name}/0001.png" for name in NAMES[:2]])
     with pytest.raises(fg.FastGSError, match="belong to films"):
         open_scan(tmp_path)
+
+
+def test_the_largest_of_several_models_is_used(tmp_path):
+    """COLMAP's mapper may write a pair of photographs first, and the rig as its second model."""
+    write_rig(tmp_path / "images")
+    write_model(tmp_path / "sparse/0", [f"{name}/0001.png" for name in NAMES[1:]], which=[1, 2])
+    write_model(tmp_path / "sparse/1", [f"{name}/0001.png" for name in NAMES])
+    capture = open_capture(tmp_path)
+    assert capture.views == NAMES and "model 1" in capture.notes[0]
+    assert folder_of(tmp_path) == tmp_path / "sparse/1" and folder_of(tmp_path / "sparse/0") == tmp_path / "sparse/0"
 
 
 def test_pictures_named_after_their_camera_stand_for_its_sequence(tmp_path, tmp_path_factory):

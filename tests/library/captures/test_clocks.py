@@ -21,6 +21,7 @@ from fastgs_blender.captures.clocks.curves import curves
 from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks, write_clocks
 from fastgs_blender.captures.clocks.find import CHANCE, by_epipolar_planes, find_offsets
 from fastgs_blender.captures.clocks.sound import onsets
+from fastgs_blender.captures.evidence import differs
 from fastgs_blender.evaluation.evaluate import evaluate
 from fastgs_blender.evaluation.training_record import record
 from fastgs_blender.training.core.schedule import Views
@@ -44,7 +45,7 @@ def test_offsets_are_found_by_motion(shifted):
     found = find_offsets(open_capture(shifted, offsets={}))
     assert found.clocks.found_by == "motion" and not found.lost
     assert found.clocks.offsets == pytest.approx({"cam00": 0, "cam01": 0, "cam02": 7.3, "cam03": -3.6, "cam04": 0}, abs=0.1)
-    assert all(0.02 < deviation < 0.1 for deviation in found.clocks.uncertainty.values())
+    assert all(0.02 < deviation < 0.12 for deviation in found.clocks.uncertainty.values())
 
 
 def test_offsets_are_against_those_that_the_capture_has(shifted):
@@ -286,6 +287,15 @@ def test_one_wrong_pair_does_no_harm():
     pairs[0] = replace(pairs[0], lag=9.0)
     offsets, _ = lags.offsets_from_pairs(5, pairs)
     assert offsets[:4] == pytest.approx([0, 1, -2, 0], abs=0.01) and np.isnan(offsets[4])
+
+
+@pytest.mark.parametrize("vague", [0.3, 0.07])
+def test_one_exact_pair_beside_vague_ones_is_alone(vague):
+    """The camera at a row's end, to which one neighbour alone is near."""
+    pairs = [lags.Pair(i, j, 0.25 * (j == 4), (vague if i < 3 else 0.07) if j == 4 else 0.05, 0.5) for j in range(5) for i in range(j)]
+    offsets, deviations = lags.offsets_from_pairs(5, pairs)
+    assert offsets == pytest.approx([0, 0, 0, 0, 0.25], abs=0.01)
+    assert list(differs(offsets, deviations, find.LEAST)) == [False] * 4 + [vague < 0.1]
 
 
 def test_what_grows_along_a_rig_is_no_clock(tmp_path, monkeypatch, rng):

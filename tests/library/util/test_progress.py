@@ -26,6 +26,7 @@ def test_short_and_interrupted_work_says_nothing_afterwards():
 def test_what_comes_before_the_first_piece_is_not_counted_in_the_time_left(capsys):
     now = [0.0]
     lines = Lines(100, "step", "refining", clock=lambda: now[0])
-    for now[0], done in (10.0, 0), (30.0, 0), (31.0, 1), (50.0, 20):
+    for now[0], done in (10.0, 0), (30.0, 0), (131.0, 1), (151.0, 21):
         lines.to(done)
-    assert capsys.readouterr().err.splitlines()[-1] == "refining: 20/100 steps (20 %), 0:50 so far, 1:20 left"
+    assert capsys.readouterr().err.splitlines()[-2:] == ["refining: 1/100 steps (1 %), 2:11 so far",
+                                                         "refining: 21/100 steps (21 %), 2:31 so far, 1:19 left"]
