@@ -57,7 +57,7 @@ def run(inspection: Inspection) -> Section:
     unsure = inspection.judged.unsure
     if unsure:
         section.add("note", f"Unsure: many features of {listed(unsure)} are far from where the other cameras put them. But they are few, "
-                    "others fit, or it is so beside a single camera: floors and walls that repeat themselves look like that.",
+                    "or others fit: floors and walls that repeat themselves look like that.",
                     "Trust the calibration if its own report is good. Else put things with patterns of their own into the scene, and look "
                     "again.", unsure)
     rest = [view for view, miss in error.items() if miss > OFF and view not in (*bad, *unsure)]

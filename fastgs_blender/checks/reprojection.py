@@ -5,11 +5,11 @@ Epipolar distances alone are not enough: if a camera on an arc is turned sideway
 is triangulated from a track's features in the other cameras, and projected into the camera; epipolar lines are used only where no three
 cameras see the same point.
 
-A camera is called wrong only if its error surely exceeds OFF (captures/evidence.py), whichever other camera is left out, and its own pose
-has no support: where things repeat, matches that are off by a whole tile may outnumber the others, but right poses still put some features
-exactly on their points.  Else it is unsure.
+A camera is called wrong only if its error surely exceeds OFF (captures/evidence.py) and its own pose has no support: where things repeat,
+matches that are off by a whole tile may outnumber the others, but right poses still put some features exactly on their points.  Else it is
+unsure.
 """
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -20,8 +20,8 @@ from .matching import CLOSE, Matches
 
 OFF = 1.5
 """Reprojection error, in pixels of the sampled pictures, above which a camera counts as wrong."""
-ENOUGH, LEAST = 16, 6
-"""Least number of tracks for a camera's error to be trusted, and for its error without one of the other cameras."""
+ENOUGH = 16
+"""Least number of tracks for a camera's error to be trusted."""
 EXACT, AROUND = 1.0, 3.0
 """Errors in pixels of features that support a pose, and up to which others are counted that may lie there by chance."""
 MOST = 200
@@ -50,7 +50,7 @@ def judged(matches: Matches, views: Sequence[str]) -> Judged:
         if not any(sure for _, sure in found.values()) or len(off) == known <= 2 or len(aside) >= len(views) // 2:
             break
         worst = _worst(matches, off, list(aside))
-        aside[worst] = found[worst][1] and _steady(matches, worst, found, list(aside))
+        aside[worst] = found[worst][1]
     if len(aside) >= max(len(views) // 2, 2):  # nobody is right: the calibration as a whole is off
         aside, final = {}, {view: _miss(matches, view, []) for view in views}
     misses = {view: final[view][0] for view in views}
@@ -67,15 +67,6 @@ def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> s
     rest = {view: [miss for other in off if other != view and np.isfinite(miss := _miss(matches, other, [*without, view])[0])]
             for view in tried}
     return min(tried, key=lambda view: (max(np.mean(rest[view]), OFF) if rest[view] else np.inf, -off[view]))
-
-
-def _steady(matches: Matches, view: str, others: Iterable[str], without: Sequence[str]) -> bool:
-    """Whether a camera's error is large whichever of the others is left out: else that one may be wrong as well."""
-    points = len(offsets(matches, view, without)[0]) >= ENOUGH
-    errors = [offsets(matches, view, [*without, other])[0] if points else _lines(matches, view, [*without, other])
-              for other in others if other != view]
-    medians = [np.median(each) for each in errors if len(each) >= LEAST]
-    return len(medians) > 1 and min(medians) > OFF
 
 
 def _miss(matches: Matches, view: str, without: Sequence[str]) -> tuple[float, bool]:
