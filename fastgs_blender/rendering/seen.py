@@ -24,8 +24,6 @@ WITHIN = np.array([[0.125, -0.375], [0.375, 0.125], [-0.125, 0.375], [-0.375, -0
 """Places in a pixel that a lamp is looked at from, all its points together, in pixels from its middle: no two in one row or column."""
 LEAST = np.float32(1e-30)
 """Light that is none."""
-MIDDLE = np.zeros((2, 1))
-"""Of a pixel."""
 FEW = 30_000
 """Pixels up to which each asks everything at once: to ask twice takes longer."""
 QUARTERS = 4
@@ -50,23 +48,13 @@ class Seen:
     def __len__(self) -> int:
         return len(self.pixels[0])
 
-    def part(self, rows: np.ndarray) -> Seen:
-        """Some of the pixels."""
-        plane, normal, *pixels = taken((self.plane, self.normal, *self.pixels), rows, -1)
-        return Seen(self.eye, tuple(pixels), plane, normal)
-
-    @cached_property
-    def middles(self) -> np.ndarray:
-        """Where the pixels' middles lie, right and down of the middle of the image: [2, P]."""
-        return np.array([axis + (first + 0.5 - size / 2) for axis, first, size in
-                         zip(self.pixels[::-1], self.eye.window, (self.eye.width, self.eye.height))])
-
-    def points(self, beside: np.ndarray = MIDDLE) -> np.ndarray:
-        """The points of the surfaces in the world, so many pixels right and down of the pixels' middles [2, 1 or P]: [3, P]."""
-        eye, to_world, middles = self.eye, np.linalg.pinv(self.eye.world_to_camera)[:3].tolist(), self.middles
+    def points(self, right: float = 0.0, down: float = 0.0) -> np.ndarray:
+        """The points of the surfaces in the world, so many pixels right and down of the pixels' middles: [3, P]."""
+        eye, to_world = self.eye, np.linalg.pinv(self.eye.world_to_camera)[:3].tolist()
+        left, top = (first + 0.5 - size / 2 for first, size in zip(eye.window, (eye.width, eye.height)))
 
         def piece(first: int, last: int) -> tuple[np.ndarray]:
-            x, y = middles[:, first:last] + (beside[:, first:last] if beside.shape[1] > 1 else beside)
+            x, y = self.pixels[1][first:last] + (left + right), self.pixels[0][first:last] + (top + down)
             z, z_right, z_down = self.plane[:, first:last]
             depth = z + z_right * x + z_down * y
             spread = 1.0 if eye.orthographic else depth
@@ -74,6 +62,11 @@ class Seen:
             return np.stack([a * x + b * y + c * depth + d for a, b, c, d in to_world]),
 
         return joined(piece, len(self))[0]
+
+    @cached_property
+    def places(self) -> list[np.ndarray]:
+        """The points [3, P] at each of the places WITHIN the pixels."""
+        return [self.points(*place) for place in WITHIN.tolist()]
 
     def faces(self, lamps: Sequence[Lamp]) -> np.ndarray:
         """Which of the surfaces any point of a lamp lies before: [P]."""
@@ -106,12 +99,12 @@ class Seen:
 
 
 class _Question(NamedTuple):
-    """What pixels ask a lamp: the number of its point, how bright that is for this question, at which place of the pixels (WITHIN), and at
-    how many places the point is asked."""
+    """What pixels ask a lamp: the number of its point, how bright that is for this question, at which of the places WITHIN the pixels, and
+    at how many places the point is asked."""
 
     number: int
     bright: float
-    place: np.ndarray
+    place: int
     places: int
 
 
@@ -124,7 +117,7 @@ def past_meshes(light: Any, count: int, seen: Seen, backend: Any) -> tuple[np.nd
     scene, middle, quarter = Ways(backend, [], light.meshes, moments=light.moments), seen.points(), seen.quarter()
     total = np.zeros((3, count, len(seen)), np.float32)
     for lamp, level in zip(light.lamps, light.levels, strict=True):
-        reach = 0.0 if lamp.light.parallel else 2 * float(np.abs(seen.points(WITHIN[0, :, None]) - middle).max())
+        reach = 0.0 if lamp.light.parallel else 2 * float(np.abs(seen.places[0] - middle).max())
         sides = scene.of_lamp(lamp.name, light.clear.get(lamp.name)).sides(lamp.light, middle, reach)
         sums, all_ = total[:, level], list(_questions(lamp))
         ask = partial(_ask, sums, seen, middle, lamp, sides, light)
@@ -148,7 +141,7 @@ def _questions(lamp: Lamp) -> Iterator[_Question]:
     for number in np.flatnonzero(bright).tolist():
         each = min(max(round(len(WITHIN) * bright[number] / bright.sum()), 1), len(WITHIN))
         for k in range(each):
-            yield _Question(number, bright[number] / each, WITHIN[(number * each + k) % len(WITHIN)], each)
+            yield _Question(number, bright[number] / each, (number * each + k) % len(WITHIN), each)
 
 
 def _ask(sums: np.ndarray, seen: Seen, middle: np.ndarray, lamp: Lamp, sides: Sides, light: Any,
@@ -170,18 +163,16 @@ def _told(seen: Seen, middle: np.ndarray, lamp: Lamp, sides: Sides, light: Any,
           asked: list[tuple[_Question, np.ndarray]]) -> tuple[np.ndarray, np.ndarray]:
     """What those who ask a point of a lamp are told, one question after the other: how much light arrives with nothing in the way, and
     which share of it comes past the meshes."""
-    counts, rows = [len(rows) for _, rows in asked], np.concatenate([rows for _, rows in asked])
-    bright, beside = (np.array([each[k] for each, _ in asked]) for k in (1, 2))
-    if len(asked) > 1:
-        bright, beside = (np.repeat(each, counts, 0) for each in (bright, beside))
-    number, part, beside = asked[0][0].number, seen, np.ascontiguousarray(beside.T)
-    if len(rows) < len(seen) or len(asked) > 1:
-        part, middle = seen.part(rows), np.take(middle, rows, 1)
-    share, = joined(lambda a, b: (lamp.share(number, middle[:, a:b], part.normal[:, a:b]).astype(np.float32),), len(rows))
+    (question, rows), *others = asked
+    points, normal, bright = seen.places[question.place], seen.normal, np.full(len(rows), question.bright, np.float32)
+    if others or len(rows) < len(seen):
+        points = np.concatenate([np.take(seen.places[each.place], rows, 1) for each, rows in asked], 1)
+        bright = np.concatenate([np.full(len(rows), each.bright, np.float32) for each, rows in asked])
+        middle, normal = taken((middle, normal), np.concatenate([rows for _, rows in asked]), -1)
+    share, = joined(lambda a, b: (lamp.share(question.number, middle[:, a:b], normal[:, a:b]).astype(np.float32),), points.shape[1])
     share *= bright
-    lit, open_ = np.flatnonzero(share), np.ones(len(rows), np.float32)
-    if 2 * len(lit) > len(rows):  # a part costs as much as to ask for a few more
-        return share, sides.past(number, part.points(beside)[:, None], light.size, light.bias)[0]
-    points = part.part(lit).points(beside[:, lit] if len(asked) > 1 else beside)
-    open_[lit] = sides.past(number, points[:, None], light.size, light.bias)[0]
+    lit, open_ = np.flatnonzero(share), np.ones(len(share), np.float32)
+    if 2 * len(lit) > len(share):  # a part costs as much as to ask for a few more
+        return share, sides.past(question.number, points[:, None], light.size, light.bias)[0]
+    open_[lit] = sides.past(question.number, np.take(points, lit, 1)[:, None], light.size, light.bias)[0]
     return share, open_

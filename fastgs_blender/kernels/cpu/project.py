@@ -14,7 +14,7 @@ from numba import float32
 from ...rendering import oracle
 from ...rendering.instances import LIMIT
 from . import raster
-from .appearance import FEATURES, appear
+from .appearance import FEATURES, appear, directed
 from .crop import crop_share, in_ball
 from .jit import inline, kernel
 from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
@@ -313,8 +313,12 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
             if not lanes >> lane & 1:
                 continue
             i = number[k + lane]
-            appear(appearance, features, i, degree, found[1, k + lane], found[2, k + lane], found[3, k + lane], made[DELTA, lane], eye,
-                   orthographic, terms, shown)
+            if directed(appearance):
+                appear(appearance, features, i, degree, found[1, k + lane], found[2, k + lane], found[3, k + lane], made[DELTA, lane], eye,
+                       orthographic, terms, shown)
+            else:
+                for c in range(9 if appearance == FEATURES else 3):
+                    shown[c] = features[i, c] * made[DELTA, lane] if c >= 6 else features[i, c]
             if graded:
                 grade(shown, look)
             good = True

@@ -11,7 +11,7 @@ import numpy as np
 from numba import float32
 
 from . import raster
-from .appearance import appear_backward
+from .appearance import FEATURES, appear_backward, directed
 from .jit import inline, kernel
 from .lanes import exp
 from .project import SCALE, _axes, _covariance, _cross, _moved3, _moved4, _project_axis, _quaternion, _shear, rows_of
@@ -201,9 +201,18 @@ def project_backward(first, last, row, end, source, slopes, detach_time, gradien
                       row0[2] * gx + row1[2] * gy + row2[2] * gz)
 
         # colour
-        by_x, by_y, by_z, g_delta = appear_backward(appearance, features, n, degree, px, py, pz, delta, eye, orthographic, g_channels, row,
-                                                    channel, terms, colour, g_features)
-        gx, gy, gz = gx + by_x, gy + by_y, gz + by_z
+        g_delta = 0.0
+        if directed(appearance):
+            by_x, by_y, by_z = appear_backward(appearance, features, n, degree, px, py, pz, eye, orthographic, g_channels, row, channel,
+                                               terms, colour, g_features)
+            gx, gy, gz = gx + by_x, gy + by_y, gz + by_z
+        else:
+            for c in range(9 if appearance == FEATURES else 3):
+                g = np.float64(g_channels[row, channel + c])
+                if c >= 6:
+                    g_delta += g * features[n, c]
+                    g *= delta
+                g_features[n, c] = g
 
         # time
         g_position[n, 0], g_position[n, 1], g_position[n, 2] = gx, gy, gz

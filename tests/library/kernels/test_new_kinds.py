@@ -62,7 +62,7 @@ APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features, Changing, Tilted)}''
         return
     for c in range(9 if code == FEATURES else 3):
         out[c]''',
-        "    else:\n        for c", '''    elif code == 3:
+        "    return gx, gy, gz\n", '''    if code == 3:
         dx, dy, dz, distance = direction_of(px, py, pz, eye, orthographic)
         whole = 0.0
         for c in range(3):
@@ -73,8 +73,8 @@ APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features, Changing, Tilted)}''
             tilt = features[n, 3] * dx + features[n, 4] * dy + features[n, 5] * dz
             gx, gy, gz = (whole * (features[n, 3] - tilt * dx) / distance, whole * (features[n, 4] - tilt * dy) / distance,
                           whole * (features[n, 5] - tilt * dz) / distance)
-    else:
-        for c'''),
+    return gx, gy, gz
+'''),
     "kernels/gpu/wgsl/appearance.wgsl": (
         """    } else {
         for (var c = 0u; c < appearance_numbers(); c++) {
