@@ -9,6 +9,7 @@ from __future__ import annotations
 import hashlib
 import logging
 import math
+import os
 import subprocess
 import sys
 import tempfile
@@ -198,8 +199,11 @@ class Sky:
         given = ["--", folder / "world.blend", request.name, target, str(request.width), str(STRIP), *(str(v) for v in request.frame),
                  request.space, "light" * request.light]
         blender = [bpy.app.binary_path, "-b", "--factory-startup", "-noaudio", "--python-exit-code", "1", "-P"]
+        # A Blender without extensions takes their wheels away from the folder of its user: it has a user of its own.
+        (folder / "user").mkdir()
+        user = os.environ | {"BLENDER_USER_RESOURCES": str(folder / "user")}
         self._process = subprocess.Popen([*(blender if bpy.app.binary_path else [sys.executable]), script, *given],
-                                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, **hidden())
+                                         stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.STDOUT, env=user, **hidden())
         said, _ = self._process.communicate(timeout=PATIENCE)
         if self._process.returncode or not target.with_suffix(".npy").exists():
             raise OSError("\n".join(said.decode(errors="replace").strip().splitlines()[-8:]) or "no reason given")

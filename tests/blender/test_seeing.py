@@ -59,6 +59,7 @@ def test_a_world_behind_splats(rendered, seen):
 
 def test_f12_has_the_viewports_world(user, model):
     facts = user.story("seeing.world", window=True, model=model[1])
+    assert facts["wheels"], "the Blender that made the world took the extension's wheels away"
     x, y, width, height = (round(v) for v in facts["box"])
     shown = read_png(user.folder / "world-rendered.png")[y:y + height, x:x + width, :3]
     saved = read_png(user.folder / "world-f12.png")[..., :3]

@@ -20,7 +20,9 @@ CONSTANT, SH, FEATURES = RGB.code, HARMONICS.code, Features.code
 @inline
 def directed(code):
     """Whether it depends on the direction.  Else it is the features themselves, of a decoder's the last three times the age."""
-    return code not in (CONSTANT, FEATURES)
+    if code == CONSTANT:
+        return False
+    return code != FEATURES
 
 
 @inline
