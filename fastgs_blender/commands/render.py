@@ -219,5 +219,3 @@ def _over(image: Image, background: list[float], colour_space: str) -> Image:
         return image
     ground = srgb if colour_space == "srgb" else srgb_to_linear(srgb)
     return {**image, "rgb": over(image["rgb"], image["alpha"], ground), "alpha": np.ones_like(image["alpha"])}
-
-

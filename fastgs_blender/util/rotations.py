@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Rotations as unit quaternions w x y z and as matrices [4, 4], in float64; the kernels have the same formulas, fused.
+"""Rotations as unit quaternions w x y z and as matrices, in float64; the kernels have the same formulas, fused.
 
 A quaternion and its negative are the same rotation.  Products read from right to left, like those of matrices.
 """

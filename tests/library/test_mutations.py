@@ -47,7 +47,7 @@ def grab():
 
 def test_a_good_reader_passes(tmp_path):
     told = mutations.campaign("good", good, SEEDS, tmp_path)
-    assert min(told.values()) > 6
+    assert min(told.values()) > sum(told.values()) / 15
 
 
 @pytest.mark.slow

@@ -38,16 +38,13 @@ def direction_of(px, py, pz, eye, orthographic):
 
 @inline
 def appear(code, features, n, degree, px, py, pz, delta, eye, orthographic, terms, out):
-    """Write the colour of features[n] into out [9], or a decoder's features, of a Gaussian at (px, py, pz) at an age delta.
+    """Write the colour of features[n] into out [9], where it is directed, of a Gaussian at (px, py, pz) at an age delta.
 
     terms [25]: room to work.
     """
     if code == SH:
         dx, dy, dz, _ = direction_of(px, py, pz, eye, orthographic)
         sh_colour(features, n, degree, dx, dy, dz, terms, out)
-        return
-    for c in range(9 if code == FEATURES else 3):
-        out[c] = features[n, c] * delta if c >= 6 else features[n, c]
 
 
 @inline

@@ -11,7 +11,7 @@ from ...model.appearance import ACTIVATIONS, Changing, Features, features_at, mo
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
 from ...util.threads import portions, run
 from .. import asserts
-from .appearance import FEATURES, appear, direction_of
+from .appearance import FEATURES, appear, directed, direction_of
 from .decode import NONE, activate
 from .jit import inline, kernel
 from .splats import plain
@@ -54,7 +54,11 @@ def paint(first, last, index, features, age, places, light, unlit, shares, look,
     colour, terms, inputs = np.empty(9, np.float32), np.empty(25), np.empty(12, np.float32)
     for m in range(first, last):
         n = index[m]
-        appear(kind, features, n, degree, places[m, 0], places[m, 1], places[m, 2], age[m], eye, False, terms, colour)
+        if directed(kind):
+            appear(kind, features, n, degree, places[m, 0], places[m, 1], places[m, 2], age[m], eye, False, terms, colour)
+        else:
+            for c in range(9 if kind == FEATURES else 3):
+                colour[c] = features[n, c] * age[m] if c >= 6 else features[n, c]
         if kind == FEATURES:
             for k in range(3):
                 inputs[k], inputs[3 + k], inputs[6 + k] = colour[3 + k], colour[6 + k], eye[k]

@@ -189,4 +189,4 @@ def test_mutated_files(tmp_path):
     for name, write, degree in (("m.pt", gsplat, 1), ("m.ckpt", nerfstudio, 1), ("plain.ckpt", nerfstudio, 0)):
         seeds[name] = {"m": write(tmp_path / "made" / name, raw(rng, degree, 5)).read_bytes()}
     told = mutations.campaign("static checkpoints", lambda folder: usable(folder / "m"), seeds, tmp_path / "seeds")
-    assert min(told.values(), default=4) > 3
+    assert min(told.values(), default=1) > sum(told.values()) / 30

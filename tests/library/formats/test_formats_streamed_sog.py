@@ -166,7 +166,7 @@ def test_mutated_files(tmp_path):
     rng = np.random.default_rng(4)
     seeds = {"folders": files_of(rng), "bundled": files_of(rng, False, True)}
     told = mutations.campaign("lod-meta.json", lambda folder: usable(folder / "lod-meta.json"), seeds, tmp_path)
-    assert min(told.values(), default=4) > 3
+    assert min(told.values(), default=1) > sum(told.values()) / 30
 
 
 @pytest.mark.slow
@@ -176,7 +176,7 @@ def test_mutated_zips(tmp_path):
             archive.writestr(name, content)
     told = mutations.campaign("lod-meta.json in a zip", lambda folder: usable(folder / "m.zip"),
                               {"zip": {"m.zip": (tmp_path / "m.zip").read_bytes()}}, tmp_path / "seeds")
-    assert min(told.values(), default=4) > 3
+    assert min(told.values(), default=1) > sum(told.values()) / 30
 
 
 def test_a_real_file_of_that_name_is_that_file(rng, scene, tmp_path):

@@ -55,13 +55,12 @@ class Tilted(Appearance):
 
 APPEARANCES = {cls.name: cls for cls in (RGB, SH, Features, Changing, Tilted)}'''),
     "kernels/cpu/appearance.py": (
-        "    for c in range(9 if code == FEATURES else 3):\n        out[c]", '''    if code == 3:
+        "dx, dy, dz, terms, out)\n", '''dx, dy, dz, terms, out)
+    if code == 3:
         dx, dy, dz, _ = direction_of(px, py, pz, eye, orthographic)
         tilt = features[n, 3] * dx + features[n, 4] * dy + features[n, 5] * dz
         out[0], out[1], out[2] = features[n, 0] + tilt, features[n, 1] + tilt, features[n, 2] + tilt
-        return
-    for c in range(9 if code == FEATURES else 3):
-        out[c]''',
+''',
         "    return gx, gy, gz\n", '''    if code == 3:
         dx, dy, dz, distance = direction_of(px, py, pz, eye, orthographic)
         whole = 0.0
