@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Which groups of eight pixels of a tile a splat reaches: one bit each, so that rasterisers visit these alone, in one loop.
+"""Which groups of pixels of a tile a splat reaches: one bit each, so that rasterisers visit these alone, in one loop.
 
-A tile has 32 groups, two to a row, row by row: group g begins at pixel 8 g.
+A group has as many pixels of a row as vectors have lanes, eight or sixteen.  Groups are counted row by row: group g begins at pixel
+g lanes.  Both sizes give the same bytes.
 """
 from __future__ import annotations
 
@@ -13,40 +14,58 @@ from numba.extending import intrinsic
 
 from . import simd
 
-GROUPS = 32
-BITS = ir.IntType(GROUPS)
-LINES = 2 * GROUPS
-"""Numbers that reached() leaves: u of each group's first pixel, then the row's share of each group's exponent."""
-ALL = (1 << GROUPS) - 1
+TILE = 16
+BITS = ir.IntType(32)
+ROW = TILE * TILE // simd.LANES
+LINES = 2 * ROW
+"""Numbers that reached() leaves: u of each group's first pixel, then from ROW on the row's share of each group's exponent."""
+
+MARGIN = 1e-4
+"""By how much log2(alpha) may stay below the cut: rounding never leaves out a group that has a pixel above it."""
 
 
-@intrinsic
-def reached(context, lines, u, v, slopes, opacity, cut):
+def every(lanes: int) -> int:
+    """The bits of all groups."""
+    return (1 << TILE * TILE // lanes) - 1
+
+
+def along(u, du):
+    """u of a group's pixels, from that of its first one and the change by pixel, as vectors: rounded alike in groups of both sizes."""
+    for begin in range(simd.LANES, u.lanes, simd.LANES):
+        u = u + simd.numbers(u.builder, [begin * (lane >= begin) for lane in range(u.lanes)]) * du
+    return u + simd.numbers(u.builder, [lane % simd.LANES for lane in range(u.lanes)]) * du
+
+
+@intrinsic(prefer_literal=True)
+def reached(context, lines, u, v, slopes, opacity, cut, lanes):
     """The groups in which a splat has an alpha of at least its cut, as bits.
 
-    lines   [LINES] float32, written: log2(alpha) of the i-th pixel of group g is lines[GROUPS + g] - (lines[g] + i du/dx)^2
+    lines   [LINES] float32, written: log2(alpha) of the i-th pixel of group g is lines[ROW + g] - (lines[g] + i du/dx)^2
     u, v    at the tile's first pixel: log2(alpha) = opacity - u^2 - v^2
     slopes  (du/dx > 0, du/dy, dv/dy)
+    lanes   pixels of a group, a constant of the kernel
     """
-    number = types.float32
-    signature = types.uint32(lines, number, number, types.UniTuple(number, 3), number, number)
+    if not isinstance(lanes, types.IntegerLiteral):
+        return None
+    number, count = types.float32, lanes.literal_value
+    signature = types.uint32(lines, number, number, types.UniTuple(number, 3), number, number, lanes)
 
     def build(context, b, signature, args):
         lines = simd.Memory(context, b, signature.args[0], args[0])
-        u0, v0, opacity, cut = (simd.broadcast(b, args[i]) for i in (1, 2, 4, 5))
-        u_x, u_y, v_y = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[3], 3))
+        u0, v0, opacity, cut = (simd.broadcast(b, args[i], count) for i in (1, 2, 4, 5))
+        u_x, u_y, v_y = (simd.broadcast(b, x, count) for x in cgutils.unpack_tuple(b, args[3], 3))
         mask = BITS(0)
-        for first in range(0, GROUPS, simd.LANES):
-            here = range(first, first + simd.LANES)
-            y, x = simd.numbers(b, [group // 2 for group in here]), simd.numbers(b, [group % 2 * simd.LANES for group in here])
+        for first in range(0, TILE * TILE // count, count):
+            begins = [group * count for group in range(first, first + count)]
+            y, x = simd.numbers(b, [pixel // TILE for pixel in begins]), simd.numbers(b, [pixel % TILE for pixel in begins])
             v = y * v_y + v0
             row, u = opacity - v * v, x * u_x + (y * u_y + u0)
-            last = u_x * (simd.LANES - 1) + u
-            nearest = u.max(simd.constant(b, 0.0) - last).max(0.0)  # u grows from pixel to pixel: it may pass 0 in between
+            last = u_x * (count - 1) + u
+            nearest = u.max(simd.constant(b, 0.0, count) - last).max(0.0)  # u grows from pixel to pixel: it may pass 0 in between
             lines.store(_index(first), 0, u)
-            lines.store(_index(GROUPS + first), 0, row)
-            bits = b.zext(b.bitcast(row - nearest * nearest >= cut, ir.IntType(simd.LANES)), BITS)
-            mask = b.or_(mask, b.shl(bits, BITS(first)))
+            lines.store(_index(ROW + first), 0, row)
+            bits = b.bitcast(row - nearest * nearest >= cut - MARGIN, ir.IntType(count))
+            mask = b.or_(mask, b.shl(b.zext(bits, BITS), BITS(first)))
         return mask
 
     return signature, build

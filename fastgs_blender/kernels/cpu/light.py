@@ -31,6 +31,8 @@ WIDER = 12.0
 of it those smaller than a pixel hide too much."""
 BESIDE = 4
 """Pixels to each side of the picture in which Gaussians are seen, too: they are neighbours of those in it."""
+LANES, EVERY = simd.WIDE, groups.every(simd.WIDE)
+"""Pixels of a group (groups.py), and all groups of a tile."""
 TILES = 8
 """Tiles in one piece of work: such pictures have few."""
 
@@ -112,13 +114,14 @@ def weigh(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, i
     for tile in range(first, last):
         left, top = (tile_x + tile % columns) * raster.TILE, (tile_y + tile // columns) * raster.TILE
         raster.begin(left_over, left, top, x0, y0, right, bottom)
-        live = np.uint32(groups.ALL)
+        live = np.uint32(EVERY)
         for k in range(starts[tile], starts[tile + 1]):
             i, ahead = np.intp(ids[k]), np.intp(ids[min(k + raster.AHEAD, starts[tile + 1] - 1)])
             simd.prefetch(geometry, ahead)
             simd.prefetch(attributes, ahead)
             u, v, slopes = raster.line(geometry, i, left, top)
-            reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT])
+            reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT],
+                                     LANES)
             finished, share = take_light(left_over, reached & live, lines, slopes[0], attributes, i)
             if share > shares[i]:
                 raise_to(shares, i, share)
@@ -133,14 +136,14 @@ def take_light(context, left_over, visited, lines, du, attributes, splat):
     whose pixels are all finished, and the largest share."""
     def build(context, b, signature, args):
         light, lines, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 2, 4))
-        du, width = simd.broadcast(b, args[3]), make_array(signature.args[4])(context, b, args[4]).shape
+        du, width = simd.broadcast(b, args[3], LANES), make_array(signature.args[4])(context, b, args[4]).shape
         row = b.mul(args[5], b.extract_value(width, 1))
-        kept = {i: simd.broadcast(b, attributes.scalar(row, i)) for i in (raster.ALPHA_MAX, raster.LOG2_CUT)}
-        finished, most = cgutils.alloca_once_value(b, groups.BITS(0)), cgutils.alloca_once_value(b, simd.constant(b, 0.0).value)
+        kept = {i: simd.broadcast(b, attributes.scalar(row, i), LANES) for i in (raster.ALPHA_MAX, raster.LOG2_CUT)}
+        finished, most = cgutils.alloca_once_value(b, groups.BITS(0)), cgutils.alloca_once_value(b, simd.constant(b, 0.0, LANES).value)
         with groups.each(b, args[1]) as (group, bit):
-            pixel = b.mul(group, args[5].type(simd.LANES))
-            u, line = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
-            before = light.floats(pixel, 0)
+            pixel = b.mul(group, args[5].type(LANES))
+            u, line = (simd.broadcast(b, lines.scalar(group, begin), LANES) for begin in (0, groups.ROW))
+            before = light.floats(pixel, 0, LANES)
             share = before * raster.covering(b, kept.__getitem__, u, du, line)
             after = before - share
             live = after > T_STOP

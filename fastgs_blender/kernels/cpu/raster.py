@@ -21,7 +21,7 @@ from . import groups, simd
 from .jit import inline, kernel
 from .occlusion import farthest, lose, losses
 
-TILE = 16
+TILE = groups.TILE
 PIXELS = TILE * TILE
 
 # columns of a splat's geometry [., 5] float64: centre in pixels, and the triangle of the scaled inverse covariance, so that
@@ -47,55 +47,57 @@ def padded(channels: int) -> int:
 
 def fade(alpha, log2_cut, band):
     """The factor by which alpha fades in over `band` above the cut, 3 s^2 - 2 s^3, and its derivative by alpha."""
-    s = ((alpha - log2_cut.exp2()) / band).max(0.0).min(1.0)
+    s = ((alpha - log2_cut.max(-126.0).exp2()) / band).max(0.0).min(1.0)
     return s * s * (s * -2.0 + 3.0), (s - s * s) * 6.0 / band
 
 
 def covering(builder, column, u, du, row) -> simd.Floats:
-    """Alpha of a splat in eight pixels, 0 below the cut: log2(alpha) = row - (u + i du)^2; column: of its attributes, in every lane."""
-    u = simd.ramp(builder) * du + u
+    """Alpha of a splat in a group of pixels, 0 below the cut: log2(alpha) = row - (u + i du)^2; column: its attributes in all lanes."""
+    u = groups.along(u, du)
     exponent = row - u * u
     return exponent.exp2().min(column(ALPHA_MAX)).where(exponent >= column(LOG2_CUT), 0.0)
 
 
 @intrinsic(prefer_literal=True)
-def blend(context, state, visited, lines, du, attributes, splat, place, band, surface, channels, core, end, probes, trace, smooth, hides):
+def blend(context, state, visited, lines, du, attributes, splat, place, band, surface, channels, core, end, probes, trace, smooth, hides,
+          lanes):
     """Blend one splat into its groups of pixels (groups.reached, which wrote lines); returns those whose pixels are all finished.
 
-    channels, core, end, probes, trace, smooth and hides (0 or 1) are constants of the kernel: code is made for them.  core, end: from which
-    channel to which they are summed over the core (layout.py); probes: which of layout.PROBES are computed, a bit each; trace: remember
-    `place` as that of the last splat blended; smooth: let alpha fade in over `band` above the cut; hides: the splat shows only where its
-    surface, of the depth (at the tile's first pixel, change in x, change in y), lies before the depths in the last plane.
+    channels, core, end, probes, trace, smooth, hides (0 or 1) and lanes (groups.py) are constants of the kernel: code is made for them.
+    core, end: from which channel to which they are summed over the core (layout.py); probes: which of layout.PROBES are computed, a bit
+    each; trace: remember `place` as that of the last splat blended; smooth: let alpha fade in over `band` above the cut; hides: the splat
+    shows only where its surface, of the depth (at the tile's first pixel, change in x, change in y), lies before the depths in the last
+    plane.
     """
-    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, core, end, probes, trace, smooth, hides)):
+    if not all(isinstance(kind, types.IntegerLiteral) for kind in (channels, core, end, probes, trace, smooth, hides, lanes)):
         return None
-    count, cored = channels.literal_value, range(core.literal_value, end.literal_value)
+    count, cored, wide = channels.literal_value, range(core.literal_value, end.literal_value), lanes.literal_value
     number = types.float32
     signature = types.uint32(
         state, types.uint32, lines, number, attributes, types.intp, number, number, types.UniTuple(types.float64, 3), channels, core, end,
-        probes, trace, smooth, hides)
+        probes, trace, smooth, hides, lanes)
 
     def build(context, b, signature, args):
         state, lines, attributes = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 2, 4))
         whole = args[5].type
         first = b.mul(args[5], whole(CHANNEL + count))
-        kept = {i: simd.broadcast(b, attributes.scalar(first, i)) for i in range(CHANNEL + min(count, HELD))}
-        du, place = simd.broadcast(b, args[3]), simd.broadcast(b, args[6])
+        kept = {i: simd.broadcast(b, attributes.scalar(first, i), wide) for i in range(CHANNEL + min(count, HELD))}
+        du, place, band = (simd.broadcast(b, args[i], wide) for i in (3, 6, 7))
         finished = cgutils.alloca_once_value(b, groups.BITS(0))
 
         def column(i):
-            return kept[i] if i in kept else simd.broadcast(b, attributes.scalar(first, i))
+            return kept[i] if i in kept else simd.broadcast(b, attributes.scalar(first, i), wide)
 
         with groups.each(b, args[1]) as (group, bit):
-            pixel = b.mul(group, whole(simd.LANES))
-            u, row = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
+            pixel = b.mul(group, whole(wide))
+            u, row = (simd.broadcast(b, lines.scalar(group, begin), wide) for begin in (0, groups.ROW))
             alpha = covering(b, column, u, du, row)
             if smooth.literal_value:
-                alpha = alpha * fade(alpha, column(LOG2_CUT), simd.broadcast(b, args[7]))[0]
+                alpha = alpha * fade(alpha, column(LOG2_CUT), band)[0]
             if hides.literal_value:
                 last = PIXELS * (1 + count + len(chosen(probes.literal_value)))
-                alpha = alpha.where(state.floats(pixel, last) >= _depths(b, cgutils.unpack_tuple(b, args[8], 3), pixel), 0.0)
-            before = state.floats(pixel, 0)
+                alpha = alpha.where(state.floats(pixel, last, wide) >= _depths(b, cgutils.unpack_tuple(b, args[8], 3), pixel), 0.0)
+            before = state.floats(pixel, 0, wide)
             weight = before * alpha
             after = before - weight
             live = after > T_STOP
@@ -107,12 +109,12 @@ def blend(context, state, visited, lines, du, attributes, splat, place, band, su
                 inner = (before.min(CORE[1]) - after.max(CORE[0])).max(0.0).where(live, 0.0) + weight * REST
             for c in range(count):
                 plane = PIXELS * (1 + c)
-                state.store(pixel, plane, state.floats(pixel, plane) + (inner if c in cored else weight) * column(CHANNEL + c))
+                state.store(pixel, plane, state.floats(pixel, plane, wide) + (inner if c in cored else weight) * column(CHANNEL + c))
             plane = PIXELS * (1 + count)
             if trace.literal_value:
-                state.store(pixel, plane, place.where(weight > 0.0, state.floats(pixel, plane)))
+                state.store(pixel, plane, place.where(weight > 0.0, state.floats(pixel, plane, wide)))
             for name in chosen(probes.literal_value):
-                old, drawn = state.floats(pixel, plane), weight > 0.0
+                old, drawn = state.floats(pixel, plane, wide), weight > 0.0
                 if name == "count":
                     new = (old + 1.0).where(drawn, old)
                 else:
@@ -125,7 +127,7 @@ def blend(context, state, visited, lines, du, attributes, splat, place, band, su
 
 
 def _depths(builder, surface, pixel):
-    """The depths in float32 of a surface (at pixel 0, change in x, change in y: float64) at the eight pixels from `pixel` on."""
+    """The depths in float32 of a surface (at pixel 0, change in x, change in y: float64) at the pixels of the group from `pixel` on."""
     z, dx, dy = surface
     x, y = (builder.sitofp(part, z.type) for part in (builder.and_(pixel, pixel.type(TILE - 1)), builder.lshr(pixel, pixel.type(4))))
     z = builder.fadd(z, builder.fadd(builder.fmul(dx, x), builder.fmul(dy, y)))
@@ -199,6 +201,8 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: int = 0, band
     plane_at, (core, end) = CHANNEL + (plane or 0), core
     bits, number, depths = sum(1 << PROBES.index(name) for name in probes), len(probes), sum(name in DEPTH_FROM for name in probes)
     planes = 1 + channels + (number or trace) + hides
+    lanes = simd.LANES if hides else simd.WIDE
+    every = groups.every(lanes)
     limit = PIXELS * (planes - 1)
 
     def rasterise(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, out, alpha, extra,
@@ -224,7 +228,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: int = 0, band
                 state[PIXELS * (1 + channels):PIXELS * (1 + channels + depths)] = float32(np.inf)
             if trace:
                 state[PIXELS * (1 + channels):] = float32(-1.0)
-            event, upcoming, live = 0, -1, np.uint32(groups.ALL)
+            event, upcoming, live = 0, -1, np.uint32(every)
             surface = 0.0, 0.0, 0.0
             if hides:
                 state[limit:] = float32(np.inf)
@@ -247,9 +251,9 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: int = 0, band
                 if hides:
                     dx, dy = np.float64(attributes[i, plane_at + 1]), np.float64(attributes[i, plane_at + 2])
                     surface = attributes[i, plane_at] + dx * (left + 0.5 - middle_x) + dy * (top + 0.5 - middle_y), dx, dy
-                reached = groups.reached(lines, u, v, slopes, attributes[i, LOG2_OPACITY], attributes[i, LOG2_CUT])
+                reached = groups.reached(lines, u, v, slopes, attributes[i, LOG2_OPACITY], attributes[i, LOG2_CUT], lanes)
                 live &= ~blend(state, reached & live, lines, slopes[0], attributes, i, float32(k - starts[tile]), float32(band), surface,
-                               channels, core, end, bits, trace, smooth, hides)
+                               channels, core, end, bits, trace, smooth, hides, lanes)
                 if live == 0:
                     break
             if hides:

@@ -27,6 +27,7 @@ TILE, PIXELS = raster.TILE, raster.PIXELS
 # columns of an entry's sums over pixels; e: d loss / d log2(alpha) / ln 2, u and v as in raster.py, dx and dy from the centre
 E, EU, EU_X, EU_Y, E_Y, E_YY, ABS_X, ABS_Y, CHANNEL = range(9)
 # planes of a tile's state
+WIDE = simd.WIDE
 LEFT, BEHIND, LAST, GRADIENT = range(4)
 AHEAD = 8
 """How many entries ahead memory is asked for."""
@@ -54,43 +55,49 @@ def gather_splat(context, state, visited, place, lines, centre, slopes, attribut
 
     def build(context, b, signature, args):
         state, lines, attributes, rows = (simd.Memory(context, b, signature.args[i], args[i]) for i in (0, 3, 6, 9))
-        place = simd.broadcast(b, args[2])
-        v0, dx0, dy0 = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[4], 3))
-        u_x, u_y, v_y = (simd.broadcast(b, x) for x in cgutils.unpack_tuple(b, args[5], 3))
+        def spread(scalar):
+            return simd.broadcast(b, scalar, WIDE)
+
+        place, one = spread(args[2]), simd.constant(b, 1.0, WIDE)
+        v0, dx0, dy0 = (spread(x) for x in cgutils.unpack_tuple(b, args[4], 3))
+        u_x, u_y, v_y = (spread(x) for x in cgutils.unpack_tuple(b, args[5], 3))
         whole = args[7].type
         first = b.mul(args[7], whole(raster.CHANNEL + count))
 
+        def floats(pixel, plane):
+            return state.floats(pixel, plane * PIXELS, WIDE)
+
         def column(i):
-            return simd.broadcast(b, attributes.scalar(first, i))
+            return spread(attributes.scalar(first, i))
 
         def number(index):
-            return simd.broadcast(b, b.sitofp(index, simd.ir.FloatType()))
+            return spread(b.sitofp(index, simd.ir.FloatType()))
 
         highest, cut = column(raster.ALPHA_MAX), column(raster.LOG2_CUT)
         colour = [column(raster.CHANNEL + c) for c in range(count)]
-        sums = [simd.Sum(b) for _ in range(CHANNEL + count)]
+        sums = [simd.Sum(b, WIDE) for _ in range(CHANNEL + count)]
         with groups.each(b, args[1]) as (group, _):
-            u_row, row = (simd.broadcast(b, lines.scalar(group, begin)) for begin in (0, groups.GROUPS))
-            pixel = b.mul(group, whole(simd.LANES))
-            y, x = number(b.lshr(group, whole(1))), number(b.and_(pixel, whole(TILE - 1)))
+            u_row, row = (spread(lines.scalar(group, begin)) for begin in (0, groups.ROW))
+            pixel = b.mul(group, whole(WIDE))
+            y, x = number(b.udiv(pixel, whole(TILE))), number(b.and_(pixel, whole(TILE - 1)))
             v, dy = v_y * y + v0, y + dy0
-            u, dx = simd.ramp(b) * u_x + u_row, simd.ramp(b) + x + dx0  # rounded as in raster.py
+            u, dx = groups.along(u_row, u_x), simd.ramp(b, WIDE) + x + dx0
             exponent = row - u * u
             free = exponent.exp2()
             clamped = free.min(highest)
-            drawn = b.and_(exponent >= cut, state.floats(pixel, LAST * PIXELS) >= place)
+            drawn = b.and_(exponent >= cut, floats(pixel, LAST) >= place)
             with b.if_then(simd.any_of(b, drawn)):
                 alpha = slope = clamped.where(drawn, 0.0)
                 if smooth.literal_value:
-                    factor, rate = raster.fade(alpha, cut, simd.broadcast(b, args[8]))
+                    factor, rate = raster.fade(alpha, cut, spread(args[8]))
                     alpha, slope = alpha * factor, alpha * factor + alpha * alpha * rate
-                left = state.floats(pixel, LEFT * PIXELS) / (simd.constant(b, 1.0) - alpha)
+                left = floats(pixel, LEFT) / (one - alpha)
                 state.store(pixel, LEFT * PIXELS, left)
-                gradient = [state.floats(pixel, (GRADIENT + c) * PIXELS) for c in range(count + 1)]
+                gradient = [floats(pixel, GRADIENT + c) for c in range(count + 1)]
                 dot = gradient[count]
                 for g, c in zip(gradient, colour):
                     dot = dot + g * c
-                behind = state.floats(pixel, BEHIND * PIXELS)
+                behind = floats(pixel, BEHIND)
                 more = dot - behind
                 state.store(pixel, BEHIND * PIXELS, behind + alpha * more)
                 weight = alpha * left
@@ -104,7 +111,7 @@ def gather_splat(context, state, visited, place, lines, centre, slopes, attribut
                 sums[EU_Y].add(eu * dy)
                 sums[E_Y].add(ey)
                 sums[E_YY].add(ey * dy)
-                emphasis = state.floats(pixel, (GRADIENT + count + 1) * PIXELS)
+                emphasis = floats(pixel, GRADIENT + count + 1)
                 sums[ABS_X].add(eu.magnitude() * emphasis)
                 sums[ABS_Y].add((eu * u_y + e * (v * v_y)).magnitude() * emphasis)
         begin, width = b.mul(args[10], whole(columns(count))), columns(count)
@@ -156,7 +163,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
                 simd.prefetch(geometry, ahead)
                 simd.prefetch(attributes, ahead)
                 u, v, slopes = raster.line(geometry, i, left, top)
-                reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT])
+                reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT], WIDE)
                 centre = v, float32(left + 0.5 - geometry[i, raster.MEAN_X]), float32(top + 0.5 - geometry[i, raster.MEAN_Y])
                 place = float32(k - starts[tile])
                 gather_splat(state, reached, place, lines, centre, slopes, attributes, i, float32(band), rows, k, channels, smooth)

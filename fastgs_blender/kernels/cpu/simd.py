@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Vectors of eight float32 for numba kernels: arithmetic, masks, loads and stores as LLVM vector instructions.
+"""Vectors of eight float32, or WIDE, for numba kernels: arithmetic, masks, loads and stores as LLVM vector instructions.
 
 LLVM does not vectorise the blending loop of its own accord reliably, so its body is written with vectors here.  They become
 AVX on x86, pairs of NEON registers on ARM; no instruction is named.
@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from functools import reduce
 
-from llvmlite import ir
+from llvmlite import binding, ir
 from numba.core import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
@@ -16,17 +16,29 @@ from numba.np.arrayobj import make_array
 LANES = 8
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
 INTS = ir.VectorType(ir.IntType(32), LANES)
+WIDE = 2 * LANES if binding.get_host_cpu_features().get("avx512f") else LANES
+"""Lanes of the widest vectors that the processor has registers for."""
 FUSE = ("contract", "nsz")
 
 
+def floats(lanes: int):
+    """LLVM's type of so many float32."""
+    return ir.VectorType(ir.FloatType(), lanes)
+
+
 class Floats:
-    """A vector of eight float32 while code is being generated; + - * work as they look and may fuse."""
+    """A vector of float32 while code is being generated; + - * work as they look and may fuse."""
 
     def __init__(self, builder, value):
-        self.builder, self.value = builder, value
+        self.builder, self.value, self.lanes = builder, value, value.type.count
 
     def _with(self, other):
-        return other.value if isinstance(other, Floats) else constant(self.builder, other).value
+        return other.value if isinstance(other, Floats) else constant(self.builder, other, self.lanes).value
+
+    def _bits(self):
+        """The bits of each, as whole numbers, and a function that gives such a number for each lane."""
+        ints = ir.VectorType(ir.IntType(32), self.lanes)
+        return self.builder.bitcast(self.value, ints), lambda number: ir.Constant(ints, [number] * self.lanes)
 
     def __add__(self, other):
         return Floats(self.builder, self.builder.fadd(self.value, self._with(other), flags=FUSE))
@@ -62,62 +74,61 @@ class Floats:
 
     def magnitude(self):
         """|self|, by clearing the sign bit."""
-        bits = self.builder.and_(self.builder.bitcast(self.value, INTS), ir.Constant(INTS, [(1 << 31) - 1] * LANES))
-        return Floats(self.builder, self.builder.bitcast(bits, FLOATS))
+        bits, number = self._bits()
+        return Floats(self.builder, self.builder.bitcast(self.builder.and_(bits, number((1 << 31) - 1)), self.value.type))
 
     def negative_magnitude(self):
         """-|self|, by setting the sign bit."""
-        bits = self.builder.or_(self.builder.bitcast(self.value, INTS), ir.Constant(INTS, [-(1 << 31)] * LANES))
-        return Floats(self.builder, self.builder.bitcast(bits, FLOATS))
+        bits, number = self._bits()
+        return Floats(self.builder, self.builder.bitcast(self.builder.or_(bits, number(-(1 << 31))), self.value.type))
 
     def exp2(self):
-        """2^self for self <= 0, to 1e-7 relative; 2^-126 below -126.
+        """2^self for self <= 0, to 1e-7 relative; below -126 anything.
 
         The sum with 1.5 * 2^23 rounds to a whole number and leaves it in the low bits; the fraction in [-1/2, 1/2] goes
         through a minimax polynomial; the whole number is added to the exponent's bits.
         """
         b = self.builder
-        x = self.max(-126.0)
-        shifted = x + 12582912.0
-        f = x - (shifted - 12582912.0)
-        p = constant(b, 0.0013398899)
+        shifted = self + 12582912.0
+        f = self - (shifted - 12582912.0)
+        p = constant(b, 0.0013398899, self.lanes)
         for c in (0.0096707680, 0.055503285, 0.24022119, 0.69314718, 1.0):
             p = p * f + c
-        whole = b.shl(b.bitcast(shifted.value, INTS), ir.Constant(INTS, [23] * LANES))
-        return Floats(b, b.bitcast(b.add(b.bitcast(p.value, INTS), whole), FLOATS))
+        whole, number = shifted._bits()
+        return Floats(b, b.bitcast(b.add(p._bits()[0], b.shl(whole, number(23))), self.value.type))
 
 
-def constant(builder, number) -> Floats:
+def constant(builder, number, lanes: int = LANES) -> Floats:
     """The same number in every lane."""
-    return Floats(builder, ir.Constant(FLOATS, [float(number)] * LANES))
+    return numbers(builder, [number] * lanes)
 
 
 def numbers(builder, values) -> Floats:
-    """Eight given numbers."""
-    return Floats(builder, ir.Constant(FLOATS, [float(value) for value in values]))
+    """A given number for each lane."""
+    return Floats(builder, ir.Constant(floats(len(values)), [float(value) for value in values]))
 
 
-def ramp(builder) -> Floats:
-    """0, 1, ... 7."""
-    return numbers(builder, range(LANES))
+def ramp(builder, lanes: int = LANES) -> Floats:
+    """0, 1, 2, ..."""
+    return numbers(builder, range(lanes))
 
 
 def any_of(builder, mask):
     """Whether the mask holds in any lane."""
-    bits = ir.IntType(LANES)
+    bits = ir.IntType(mask.type.count)
     return builder.icmp_unsigned("!=", builder.bitcast(mask, bits), bits(0))
 
 
 def largest(builder, floats):
-    """The largest of eight, as a scalar."""
-    lane = [builder.extract_element(floats.value, ir.Constant(ir.IntType(32), i)) for i in range(LANES)]
+    """The largest of all lanes, as a scalar."""
+    lane = [builder.extract_element(floats.value, ir.Constant(ir.IntType(32), i)) for i in range(floats.lanes)]
     return reduce(lambda a, b: builder.select(builder.fcmp_ordered(">", a, b), a, b), lane)
 
 
-def broadcast(builder, scalar) -> Floats:
+def broadcast(builder, scalar, lanes: int = LANES) -> Floats:
     """A float32 of the running program in every lane."""
-    one = builder.insert_element(ir.Constant(FLOATS, ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
-    return Floats(builder, builder.shuffle_vector(one, one, ir.Constant(INTS, [0] * LANES)))
+    one = builder.insert_element(ir.Constant(floats(lanes), ir.Undefined), scalar, ir.Constant(ir.IntType(32), 0))
+    return Floats(builder, builder.shuffle_vector(one, one, ir.Constant(ir.VectorType(ir.IntType(32), lanes), [0] * lanes)))
 
 
 class Memory:
@@ -130,14 +141,14 @@ class Memory:
     def _at(self, index, offset):
         return self.builder.gep(self.data, [self.builder.add(index, ir.Constant(index.type, offset))])
 
-    def floats(self, index, offset) -> Floats:
-        """Eight elements from index + offset on."""
-        pointer = self.builder.bitcast(self._at(index, offset), FLOATS.as_pointer())
+    def floats(self, index, offset, lanes: int = LANES) -> Floats:
+        """So many elements from index + offset on."""
+        pointer = self.builder.bitcast(self._at(index, offset), floats(lanes).as_pointer())
         return Floats(self.builder, self.builder.load(pointer, align=4))
 
     def store(self, index, offset, floats):
-        """Write eight elements from index + offset on."""
-        pointer = self.builder.bitcast(self._at(index, offset), FLOATS.as_pointer())
+        """Write all lanes to the elements from index + offset on."""
+        pointer = self.builder.bitcast(self._at(index, offset), floats.value.type.as_pointer())
         self.builder.store(floats.value, pointer, align=4)
 
     def scalar(self, index, offset):
@@ -146,21 +157,24 @@ class Memory:
 
 
 class Sum:
-    """Eight sums that live in a register while code is being generated; LLVM sees through the memory behind them."""
+    """A sum for each lane, in a register while code is being generated; LLVM sees through the memory behind them."""
 
-    def __init__(self, builder):
+    def __init__(self, builder, lanes: int = LANES):
         with builder.goto_entry_block():
-            self.pointer = builder.alloca(FLOATS)
+            self.pointer = builder.alloca(floats(lanes))
         self.builder = builder
-        builder.store(constant(builder, 0.0).value, self.pointer)
+        builder.store(constant(builder, 0.0, lanes).value, self.pointer)
 
     def add(self, floats):
-        """Add to each of the eight."""
+        """Add to each of them."""
         self.builder.store((Floats(self.builder, self.builder.load(self.pointer)) + floats).value, self.pointer)
 
     def value(self) -> Floats:
-        """The eight sums."""
-        return Floats(self.builder, self.builder.load(self.pointer))
+        """Eight sums: wider vectors are folded."""
+        b, whole = self.builder, self.builder.load(self.pointer)
+        parts = [[ir.Constant(ir.IntType(32), at + lane) for lane in range(LANES)] for at in range(0, whole.type.count, LANES)]
+        eights = [Floats(b, b.shuffle_vector(whole, whole, ir.Constant(INTS, part))) for part in parts]
+        return reduce(lambda x, y: x + y, eights)
 
 
 def totals(builder, eight) -> Floats:
