@@ -2,7 +2,8 @@
 """glTF with KHR_gaussian_splatting (.glb, .gltf): static Gaussians as attributes of points, in the axes left, up, forward.
 
 All primitives with the extension are read, where the nodes of the scene put them; also those packed by
-KHR_gaussian_splatting_compression_spz_2, or as its drafts had it.  A .glb is written, with floats: nothing is rounded.
+KHR_gaussian_splatting_compression_spz_2, or as its drafts had it.  Names of several nodes become parts.  A .glb is written, with a node
+for each part and floats: nothing is rounded.
 
 What is assumed, with a LossWarning: another kernel is drawn as an ellipse, as the specification's note asks; where a primitive has a
 negative scale, all its scales are natural logarithms, as splat-transform wrote them until June 2026 (version 2.6); of primitives in several
@@ -21,6 +22,7 @@ import numpy as np
 
 from ..model.appearance import SH, SH_C0
 from ..model.gaussians import GaussianModel, Raster
+from ..model.parts import pieces, told_apart
 from ..model.slicing import sigmoid
 from ..util import rotations
 from ..util.errors import FastGSError, LossWarning, printable
@@ -42,6 +44,7 @@ MAGIC, JSON, BINARY = b"glTF", 0x4E4F534A, 0x004E4942
 MAX_JSON = 1 << 26
 COMPONENTS = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 WIDTHS = {"SCALAR": 1, "VEC3": 3, "VEC4": 4}
+TYPES = {width: name for name, width in WIDTHS.items()}
 COLOURS = {"srgb_rec709_display": "srgb", "lin_rec709_display": "linear"}
 MAX_NODES = 100_000
 OVER = 4
@@ -50,7 +53,7 @@ OVER = 4
 
 class Gltf(StaticFormat):
     name = "glTF KHR_gaussian_splatting"
-    says_axes = True
+    says_axes = keeps_parts = True
     extensions = (".glb",)
     reads = (".glb", ".gltf")
     linear = True
@@ -67,13 +70,14 @@ class Gltf(StaticFormat):
             raise FastGSError("there are no Gaussians in this glTF file (KHR_gaussian_splatting); in Blender use File > Import > glTF.")
         buffers, assumed = _Buffers(tree, binary, path.parent), dict[str, None]()
         models = []
-        for place, primitive in found:
+        for place, _, primitive in found:
             models.append(placed(_primitive(tree, primitive, buffers, assumed), place))
         if len({model.colour_space for model in models}) > 1:
             assumed["its meshes are in several colour spaces, of which linear ones become sRGB"] = None
         if assumed:
             warnings.warn(LossWarning(f"{path}: {'; '.join(assumed)}."), stacklevel=3)
-        return turned(together(models), into_rdf(AXES))
+        parts = told_apart([(name, len(model)) for (_, name, _), model in zip(found, models, strict=True)])
+        return replace(turned(together(models), into_rdf(AXES)), parts=parts)
 
     def write(self, model: GaussianModel, targets: list[Path]) -> None:
         targets[-1].write_bytes(_glb(model))
@@ -101,14 +105,14 @@ def _splats(mesh: dict) -> list[dict]:
     return [p for p in mesh.get("primitives", []) if not {EXTENSION, *DRAFTS}.isdisjoint(p.get("extensions", {}))]
 
 
-def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
-    """Primitives of Gaussians with the matrix [4, 4] of their node; without a scene, all of them as they are."""
+def _primitives(tree: dict) -> list[tuple[np.ndarray, str, dict]]:
+    """Primitives of Gaussians with the matrix [4, 4] and the name of their node; without a scene, all of them as they are."""
     nodes, meshes = tree.get("nodes", []), tree.get("meshes", [])
     if not any(map(_splats, meshes)):
         return []
     scene = tree.get("scenes", [])[tree.get("scene", 0):][:1]
     if not scene or "nodes" not in scene[0]:
-        return [(np.eye(4), p) for mesh in meshes for p in _splats(mesh)]
+        return [(np.eye(4), "", p) for mesh in meshes for p in _splats(mesh)]
     found, seen, stack = [], set[int](), [(index, np.eye(4)) for index in reversed(scene[0]["nodes"])]
     while stack:
         index, above = stack.pop()
@@ -117,7 +121,8 @@ def _primitives(tree: dict) -> list[tuple[np.ndarray, dict]]:
         seen.add(index)
         place = above @ _matrix(nodes[index])
         if "mesh" in nodes[index]:
-            found += [(place, p) for p in _splats(meshes[nodes[index]["mesh"]])]
+            name = nodes[index].get("name", "")
+            found += [(place, name if isinstance(name, str) else "", p) for p in _splats(meshes[nodes[index]["mesh"]])]
         stack += [(child, place) for child in reversed(nodes[index].get("children", []))]
     return found
 
@@ -227,35 +232,44 @@ def _primitive(tree: dict, primitive: dict, buffers: _Buffers, assumed: dict[str
 
 
 def _glb(model: GaussianModel) -> bytes:
-    """A .glb of one primitive."""
+    """A .glb with a node and a mesh of one primitive for each piece of the model."""
     model = turned(model, into_rdf(AXES).T)
+    space = next(key for key, value in COLOURS.items() if value == model.colour_space)
+    about = {"kernel": "ellipse", "colorSpace": space, "sortingMethod": "cameraDistance", "projection": "perspective"}
+    views, accessors, nodes, meshes = list[dict[str, Any]](), list[dict[str, Any]](), list[dict[str, Any]](), list[dict[str, Any]]()
+    data, at = list[bytes](), 0
+    for name, index in pieces(model.parts, len(model)):
+        attributes = {}
+        for attribute, values in _attributes(model.take(index)):
+            code = 5121 if values.dtype == np.uint8 else 5126
+            data.append(np.ascontiguousarray(values, COMPONENTS[code]).tobytes())
+            views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data[-1]), "target": 34962})
+            attributes[attribute] = len(accessors)
+            accessors.append({"bufferView": len(accessors), "componentType": code, "count": len(index), "type": TYPES[values.shape[1]],
+                              **({"normalized": True} if code == 5121 else {})})
+            if attribute == "POSITION":
+                accessors[-1] |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
+            at += len(data[-1])
+        named = {"name": name} if name else {}
+        nodes.append({"mesh": len(meshes), **named})
+        meshes.append({"primitives": [{"attributes": attributes, "mode": 0, "extensions": {EXTENSION: about}}], **named})
+    tree = {"asset": {"version": "2.0", "generator": generator()}, "extensionsUsed": [EXTENSION], "scene": 0,
+            "scenes": [{"nodes": list(range(len(nodes)))}], "nodes": nodes, "meshes": meshes,
+            "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors}
+    text = json.dumps(tree, allow_nan=False).encode("ascii")
+    text += b" " * (-len(text) % 4)
+    return b"".join([MAGIC, struct.pack("<IIII", 2, 28 + len(text) + at, len(text), JSON), text, struct.pack("<II", at, BINARY), *data])
+
+
+def _attributes(model: GaussianModel) -> list[tuple[str, np.ndarray]]:
+    """The attributes of a primitive, of a model in glTF's axes."""
     n, degree = len(model), model.appearance.degree
     alpha = sigmoid(model.opacity)
     shown = np.clip(0.5 + SH_C0 * model.features[:, :3].astype(np.float64), 0, 1)
     if model.colour_space == "srgb":  # COLOR_0, for programs that only know points, is linear
         shown = np.where(shown <= 0.04045, shown / 12.92, ((shown + 0.055) / 1.055) ** 2.4)
-    attributes = [("POSITION", model.position), ("COLOR_0", np.rint(np.concatenate([shown, alpha[:, None]], 1) * 255).astype(np.uint8)),
-                  (f"{EXTENSION}:ROTATION", rotations.unit(model.rotation.astype(np.float64))[:, [1, 2, 3, 0]]),
-                  (f"{EXTENSION}:SCALE", np.exp(model.scale.astype(np.float64))), (f"{EXTENSION}:OPACITY", alpha[:, None])]
     coefficients = model.features.reshape(n, (degree + 1) ** 2, 3)
-    attributes += [(f"{EXTENSION}:SH_DEGREE_{d}_COEF_{k}", coefficients[:, d * d + k]) for d in range(degree + 1) for k in range(2 * d + 1)]
-    views, accessors, parts, at = [], list[dict[str, Any]](), [], 0
-    for name, values in attributes:
-        code = 5121 if values.dtype == np.uint8 else 5126
-        data = np.ascontiguousarray(values, COMPONENTS[code]).tobytes()
-        views.append({"buffer": 0, "byteOffset": at, "byteLength": len(data), "target": 34962})
-        accessors.append({"bufferView": len(accessors), "componentType": code, "count": n,
-                          "type": {1: "SCALAR", 3: "VEC3", 4: "VEC4"}[values.shape[1]], **({"normalized": True} if code == 5121 else {})})
-        if name == "POSITION":
-            accessors[-1] |= {"min": values.min(0).tolist(), "max": values.max(0).tolist()}
-        parts.append(data)
-        at += len(data)
-    names = {name: number for number, (name, _) in enumerate(attributes)}
-    space = next(key for key, value in COLOURS.items() if value == model.colour_space)
-    about = {"kernel": "ellipse", "colorSpace": space, "sortingMethod": "cameraDistance", "projection": "perspective"}
-    tree = {"asset": {"version": "2.0", "generator": generator()}, "extensionsUsed": [EXTENSION], "scene": 0, "scenes": [{"nodes": [0]}],
-            "nodes": [{"mesh": 0}], "buffers": [{"byteLength": at}], "bufferViews": views, "accessors": accessors,
-            "meshes": [{"primitives": [{"attributes": names, "mode": 0, "extensions": {EXTENSION: about}}]}]}
-    text = json.dumps(tree, allow_nan=False).encode("ascii")
-    text += b" " * (-len(text) % 4)
-    return b"".join([MAGIC, struct.pack("<IIII", 2, 28 + len(text) + at, len(text), JSON), text, struct.pack("<II", at, BINARY), *parts])
+    return [("POSITION", model.position), ("COLOR_0", np.rint(np.concatenate([shown, alpha[:, None]], 1) * 255).astype(np.uint8)),
+            (f"{EXTENSION}:ROTATION", rotations.unit(model.rotation.astype(np.float64))[:, [1, 2, 3, 0]]),
+            (f"{EXTENSION}:SCALE", np.exp(model.scale.astype(np.float64))), (f"{EXTENSION}:OPACITY", alpha[:, None]),
+            *((f"{EXTENSION}:SH_DEGREE_{d}_COEF_{k}", coefficients[:, d * d + k]) for d in range(degree + 1) for k in range(2 * d + 1))]

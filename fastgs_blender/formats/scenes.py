@@ -7,6 +7,7 @@ import numpy as np
 from ..model.appearance import SH_C0, Features, sh_basis
 from ..model.gaussians import GaussianModel
 from ..model.joining import concatenate
+from ..model.parts import told_apart
 from ..model.slicing import freeze, sigmoid
 from ..rendering.colour import linear_to_srgb, srgb_to_linear
 from ..rendering.crops import crop_share
@@ -27,11 +28,13 @@ DIRECTIONS, CHUNK = 200, 1 << 11
 def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[GaussianModel, list[str]]:
     """One static model, in Blender's axes, of what the instances show, and one clause for everything that is lost on the way.
 
+    Its parts are those of the objects that show something, by their names, where these are several.
+
     antialiased: it is for files that say so; then the capture's sampling limit is a part of the Gaussians, where all instances know theirs
     Raises FastGSError where nothing is shown.
     """
     limited = antialiased and all(instance.captured.known or instance.model.raster.antialiased for instance in instances)
-    parts, lost = [], dict[str, None]()
+    parts, names, lost = [], list[str](), dict[str, None]()
     for instance in instances:
         model, clauses = _seen(instance)
         if limited:
@@ -39,6 +42,7 @@ def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[Gauss
         lost |= dict.fromkeys(clauses)
         if len(model):
             parts.append(placed(model, instance.placement))
+            names.append(instance.name)
     if not parts:
         raise FastGSError("nothing is shown at this time; choose objects and a frame that show Gaussians.")
     if any(instance.settings.takes_light for instance in instances):
@@ -47,7 +51,8 @@ def as_seen(instances: list[Instance], antialiased: bool = False) -> tuple[Gauss
         lost |= {"that its objects were trained with different constants of the rasteriser": None}
     if len({m.colour_space for m in parts}) > 1:
         lost |= {"that some of its objects have linear colours, which become sRGB, as nearly as harmonics can hold it": None}
-    return replace(together(parts), axes="RFU"), list(lost)
+    model, objects = together(parts), told_apart([(name, len(m)) for name, m in zip(names, parts, strict=True)])
+    return replace(model, axes="RFU", parts=objects if objects.names else model.parts), list(lost)
 
 
 def _seen(instance: Instance) -> tuple[GaussianModel, list[str]]:

@@ -3,7 +3,8 @@
 
 A prim has positions, orientations (w x y z), scales (standard deviations), opacities (0..1), and the coefficients of spherical harmonics
 coefficient by coefficient, radiance:sphericalHarmonicsDegree and radiance:sphericalHarmonicsCoefficients, each perhaps under its name for
-half precision, which ends in "h".  All such prims of the stage are read, where their parents put them.  The stage's up axis says the axes.
+half precision, which ends in "h".  All such prims of the stage are read, where their parents put them; names of several become parts, and
+each part is written as a prim.  The stage's up axis says the axes.
 
 Files are read and written by Pixar's own library (pxr), which Blender from blender.org brings along; without it they are refused.  Only the
 file itself is opened: what it refers to in other files is left out.
@@ -19,6 +20,7 @@ from numpy.typing import ArrayLike
 
 from ..model.appearance import SH
 from ..model.gaussians import Clip, GaussianModel
+from ..model.parts import pieces, told_apart
 from ..model.sequence import Source
 from ..model.slicing import sigmoid
 from ..util import rotations
@@ -39,7 +41,7 @@ AXES = {"Y": "RUB", "Z": "RFU"}
 
 class Usd(StaticFormat):
     name = "OpenUSD ParticleField"
-    says_axes = empty = True
+    says_axes = empty = keeps_parts = True
     reads = (".usdc", ".usda", ".usd", ".usdz")
 
     def __init__(self, extension: str = ".usdc") -> None:
@@ -81,8 +83,9 @@ def save_samples(path: Path, frames: Iterable[tuple[float, GaussianModel]], fps:
 
 
 def write_frames(path: Path, extension: str, frames: Iterable[tuple[float | None, GaussianModel]], fps: float = 24.0) -> None:
-    """Write static models, as StaticFormat.fit() returns them, as samples of one prim at times in frames; a time of None: no samples.
+    """Write static models, as StaticFormat.fit() returns them, as samples of prims at times in frames; a time of None: no samples.
 
+    Each of their parts is a prim, which has no Gaussians at the times at which it is not shown.
     extension  .usdc (binary) or .usda (text), whatever the path's own is
     """
     pxr = _library()
@@ -91,28 +94,18 @@ def write_frames(path: Path, extension: str, frames: Iterable[tuple[float | None
     pxr.UsdGeom.SetStageUpAxis(stage, "Z")
     pxr.UsdGeom.SetStageMetersPerUnit(stage, 1.0)
     layer.comment = f"Written by {generator()}"
-    prim = stage.DefinePrim("/Splats", KIND)
-    stage.SetDefaultPrim(prim)
-    times = []
+    stage.SetDefaultPrim(stage.DefinePrim("/Splats", "Xform"))
+    prims, times = dict[str, Any](), list[float]()
     for time, model in frames:
         model = with_axes(model, "RFU")
-        when = pxr.Usd.TimeCode.Default() if time is None else pxr.Usd.TimeCode(time)
+        shown = dict(pieces(model.parts, len(model)))
+        for name in shown.keys() - prims.keys():
+            prims[name] = stage.DefinePrim(_path(pxr, name, prims), KIND)
+            for earlier in times:
+                _put(pxr, prims[name], model.take([]), pxr.Usd.TimeCode(earlier))
+        for name, prim in prims.items():
+            _put(pxr, prim, model.take(shown.get(name, [])), pxr.Usd.TimeCode.Default() if time is None else pxr.Usd.TimeCode(time))
         times += [] if time is None else [time]
-        degree = model.appearance.degree
-        turn = rotations.unit(model.rotation.astype(np.float64)).astype(np.float32)
-        values = {
-            "positions": ("Point3fArray", _array(pxr.Vt.Vec3fArray, model.position)),
-            "orientations": ("QuatfArray", _array(pxr.Vt.QuatfArray, turn[:, [1, 2, 3, 0]])),
-            "scales": ("Float3Array", _array(pxr.Vt.Vec3fArray, np.exp(model.scale.astype(np.float64)))),
-            "opacities": ("FloatArray", _array(pxr.Vt.FloatArray, sigmoid(model.opacity))),
-            COEFFICIENTS: ("Float3Array", _array(pxr.Vt.Vec3fArray, model.features.reshape(-1, 3))),
-        }
-        for name, (kind, value) in values.items():
-            prim.CreateAttribute(name, getattr(pxr.Sdf.ValueTypeNames, kind), False).Set(value, when)
-        prim.CreateAttribute(DEGREE, pxr.Sdf.ValueTypeNames.Int, False).Set(degree, when)
-        low, high = (model.position.min(0), model.position.max(0)) if len(model) else (np.zeros(3), np.zeros(3))
-        prim.CreateAttribute("extent", pxr.Sdf.ValueTypeNames.Float3Array, False).Set(
-            _array(pxr.Vt.Vec3fArray, np.stack([low, high])), when)
     if times:
         stage.SetStartTimeCode(min(times))
         stage.SetEndTimeCode(max(times))
@@ -126,6 +119,29 @@ def write_frames(path: Path, extension: str, frames: Iterable[tuple[float | None
         named.replace(path)
     finally:
         named.unlink(missing_ok=True)
+
+
+def _path(pxr: ModuleType, name: str, prims: dict[str, Any]) -> str:
+    """The path of another prim for the Gaussians of a part, by its name as far as USD allows it."""
+    wanted, taken = pxr.Tf.MakeValidIdentifier(name or "Gaussians"), {prim.GetName() for prim in prims.values()}
+    return "/Splats/" + next(each for number in range(len(prims) + 1) if (each := wanted + (f"_{number}" if number else "")) not in taken)
+
+
+def _put(pxr: ModuleType, prim: Any, model: GaussianModel, when: Any) -> None:
+    """Give a prim Gaussians at a time."""
+    turn = rotations.unit(model.rotation.astype(np.float64)).astype(np.float32)
+    values = {
+        "positions": ("Point3fArray", _array(pxr.Vt.Vec3fArray, model.position)),
+        "orientations": ("QuatfArray", _array(pxr.Vt.QuatfArray, turn[:, [1, 2, 3, 0]])),
+        "scales": ("Float3Array", _array(pxr.Vt.Vec3fArray, np.exp(model.scale.astype(np.float64)))),
+        "opacities": ("FloatArray", _array(pxr.Vt.FloatArray, sigmoid(model.opacity))),
+        COEFFICIENTS: ("Float3Array", _array(pxr.Vt.Vec3fArray, model.features.reshape(-1, 3))),
+    }
+    for name, (kind, value) in values.items():
+        prim.CreateAttribute(name, getattr(pxr.Sdf.ValueTypeNames, kind), False).Set(value, when)
+    prim.CreateAttribute(DEGREE, pxr.Sdf.ValueTypeNames.Int, False).Set(model.appearance.degree, when)
+    low, high = (model.position.min(0), model.position.max(0)) if len(model) else (np.zeros(3), np.zeros(3))
+    prim.CreateAttribute("extent", pxr.Sdf.ValueTypeNames.Float3Array, False).Set(_array(pxr.Vt.Vec3fArray, np.stack([low, high])), when)
 
 
 def _library() -> ModuleType:
@@ -206,12 +222,13 @@ def _model(stage: Any, prims: Iterable[Any], time: float | None) -> GaussianMode
     pxr = _library()
     when = pxr.Usd.TimeCode.EarliestTime() if time is None else pxr.Usd.TimeCode(time)
     places = pxr.UsdGeom.XformCache(when)
-    models = []
+    models, names = [], []
     for prim in prims:
         place = np.array(places.GetLocalToWorldTransform(prim), np.float64).T
         models.append(placed(_gaussians(prim, when), place))
+        names.append((prim.GetName(), len(models[-1])))
     axes = AXES.get(str(pxr.UsdGeom.GetStageUpAxis(stage)), "RUB")
-    return replace(together(models), axes=axes)
+    return replace(together(models), axes=axes, parts=told_apart(names))
 
 
 def _gaussians(prim: Any, when: Any) -> GaussianModel:

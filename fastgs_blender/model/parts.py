@@ -68,6 +68,23 @@ class Parts:
         return Parts(self.names, self.bits[index]) if self.names else self
 
 
+def told_apart(named: list[tuple[str, int]]) -> Parts:
+    """The parts of a model that holds several objects one after another, each with its name ("": it belongs to no part) and so many
+    Gaussians; those of one name become one.  There are none where all have the same name, or more or longer names than a model can have."""
+    names = list(dict.fromkeys(name for name, _ in named))
+    if len(names) < 2 or len(names) > MOST or max(map(len, names)) > LONGEST:
+        return Parts()
+    owner = np.repeat([names.index(name) for name, _ in named], [count for _, count in named])
+    return Parts.of({name: owner == number for number, name in enumerate(names) if name})
+
+
+def pieces(parts: Parts, count: int) -> list[tuple[str, np.ndarray]]:
+    """(name, indices) of what is left where each of so many Gaussians belongs to the first part that has it; "": to none."""
+    owner = np.where(parts.bits.any(1), parts.bits.argmax(1), len(parts)) if parts.names else np.zeros(count, int)
+    found = [(name, np.flatnonzero(owner == number)) for number, name in enumerate((*parts.names, ""))]
+    return [(name, index) for name, index in found if len(index)] or [("", np.arange(count))]
+
+
 def parts_together(all_parts: list[tuple[Parts, int]]) -> Parts:
     """The parts of several models, one after another, of so many Gaussians each; those of one name become one."""
     names = tuple(dict.fromkeys(name for parts, _ in all_parts for name in parts.names))

@@ -228,7 +228,7 @@ def test_instances(pair, render, scene):
 
 
 def test_export_of_a_frame(pair, fg, tmp_path, truth):
-    """Everything, or the part alone, where it stands."""
+    """Everything, or the part alone, where it stands; as objects of their own in glTF, and again when it is imported."""
     pair[1].location.z = 1
     for name, selected, count in (("all.ply", False, N), ("part.ply", True, MINE.sum())):
         assert bpy.ops.export_scene.fastgs(filepath=str(tmp_path / name), content='FRAME', selected=selected) == {'FINISHED'}
@@ -236,6 +236,12 @@ def test_export_of_a_frame(pair, fg, tmp_path, truth):
         assert len(model) == count
     wanted = truth.position[MINE] + (0, 0, 0.5 * 0.2 + 1)
     np.testing.assert_allclose(np.sort(as_blender(model), 0), np.sort(wanted, 0), atol=1e-3)
+    assert bpy.ops.export_scene.fastgs(filepath=str(tmp_path / "both.glb"), content='FRAME', static_format='GLTF') == {'FINISHED'}
+    both = fg.load(tmp_path / "both.glb")
+    np.testing.assert_allclose(np.sort(as_blender(both)[both.parts["Ball"]], 0), np.sort(wanted, 0), atol=1e-3)
+    assert both.parts[pair[0].name].sum() == N - MINE.sum()
+    bpy.ops.import_scene.fastgs(filepath=str(tmp_path / "both.glb"))
+    assert sorted(obj.fastgs.gaussian_count for obj in (bpy.context.object, *bpy.context.object.children)) == [20, 60]
 
 
 def as_blender(model):

@@ -5,6 +5,7 @@ from __future__ import annotations
 import base64
 import json
 import struct
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -227,6 +228,22 @@ def test_round_trip_without_losses(rng, make_model, tmp_path, degree, colour_spa
     np.testing.assert_allclose(b.opacity, a.opacity, atol=1e-6)
     np.testing.assert_allclose(np.abs((a.rotation * b.rotation).sum(1)), 1, atol=1e-6)
     assert back.colour_space == colour_space
+
+
+def test_parts_are_nodes(rng, make_model, tmp_path):
+    """One for each, and one without a name for what belongs to none; a Gaussian of two parts is in the first."""
+    model = make_model(rng, 30, appearance="sh1")
+    bits = {"Ball": np.arange(30) % 3 == 0, "Hat": np.arange(30) % 2 == 0}
+    fg.save(replace(model, parts=fg.Parts.of(bits)), tmp_path / "m.glb")
+    data = (tmp_path / "m.glb").read_bytes()
+    tree = json.loads(data[20:20 + int.from_bytes(data[12:16], "little")])
+    assert [node.get("name") for node in tree["nodes"]] == ["Ball", "Hat", None] and tree["scenes"] == [{"nodes": [0, 1, 2]}]
+    back = fg.load(tmp_path / "m.glb")
+    np.testing.assert_array_equal(back.position[back.parts["Ball"]], model.position[bits["Ball"]])
+    np.testing.assert_array_equal(back.features[back.parts["Hat"]], model.features[bits["Hat"] & ~bits["Ball"]])
+    assert len(back) == 30
+    fg.save(model, tmp_path / "one.glb")
+    assert fg.load(tmp_path / "one.glb").parts.names == ()
 
 
 def test_an_unknown_kernel_is_drawn_as_an_ellipse(rng, tmp_path):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import io
 import zipfile
+from dataclasses import replace
 
 import mutations
 import numpy as np
@@ -80,6 +81,30 @@ def test_frames_are_time_samples(tmp_path):
         same(model, source.moment(i / 3)[0])
 
 
+@pytest.mark.parametrize("extension", [".usdc", ".usda"])
+def test_parts_are_prims(tmp_path, extension):
+    """One for each, and one for what belongs to none; their names come back as far as USD allows them."""
+    from pxr import Usd
+
+    model = random_model(np.random.default_rng(2), 9, appearance="sh1", axes="RFU")
+    bits = {"Red ball": np.arange(9) % 3 == 0, "Red_ball": np.arange(9) % 3 == 1}
+    fg.save(replace(model, parts=fg.Parts.of(bits)), tmp_path / f"m{extension}")
+    stage = Usd.Stage.Open(str(tmp_path / f"m{extension}"))
+    assert {prim.GetName() for prim in stage.GetDefaultPrim().GetChildren()} == {"Red_ball", "Red_ball_1", "Gaussians"}
+    back = fg.load(tmp_path / f"m{extension}")
+    assert len(back) == 9
+    same(back.take(back.parts["Red_ball"]), model.take(bits["Red ball"]))
+    same(back.take(back.parts["Red_ball_1"]), model.take(bits["Red_ball"]))
+
+
+def test_a_part_may_be_shown_for_some_frames_alone(tmp_path):
+    model = random_model(np.random.default_rng(4), 6, appearance="sh0", axes="RFU")
+    with_parts = replace(model, parts=fg.Parts.of({"Late": np.arange(6) >= 4}))
+    usd.write_frames(tmp_path / "m.usdc", ".usdc", [(0.0, model.take(np.arange(4))), (1.0, with_parts), (2.0, model.take(np.arange(4)))])
+    source = fg.open_source(tmp_path / "m.usdc")
+    assert [len(source.moment(i / 3)[0]) for i in range(3)] == [4, 6, 4]
+
+
 def test_other_files_are_told_apart(tmp_path):
     (tmp_path / "mesh.usda").write_text('#usda 1.0\ndef Mesh "Cube" {}\n')
     with pytest.raises(fg.FastGSError, match=r"mesh\.usda.*without Gaussians"):
@@ -110,13 +135,13 @@ def test_a_file_in_the_place_of_numbers_is_not_looked_for(tmp_path, typed):
 
     usd.write_frames(tmp_path / "m.usdc", ".usdc", [(None, random_model(np.random.default_rng(3), 2, appearance="sh0"))])
     layer = Sdf.Layer.OpenAsAnonymous(str(tmp_path / "m.usdc"))
-    prim = layer.GetPrimAtPath("/Splats")
+    prim = layer.GetPrimAtPath("/Splats/Gaussians")
     if typed:
         prim.RemoveProperty(prim.attributes["positions"])
         Sdf.AttributeSpec(prim, "positions", Sdf.ValueTypeNames.Asset)
     prim.attributes["positions"].SetInfo("default", Sdf.AssetPath("//host/share/a.usd"))
     layer.Export(str(tmp_path / "forged.usdc"))
-    with pytest.raises(fg.FastGSError, match=r"forged\.usdc.*/Splats\.positions.*file"):
+    with pytest.raises(fg.FastGSError, match=r"forged\.usdc.*/Splats/Gaussians\.positions.*file"):
         fg.load(tmp_path / "forged.usdc")
 
 

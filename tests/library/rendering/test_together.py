@@ -2,6 +2,8 @@
 """Several objects in one picture: the same as one model of all their Gaussians."""
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from random_cameras import random_pose
@@ -35,6 +37,17 @@ def test_overlapping_objects_are_one_merged_model(appearance, stretched):
     assert apart["alpha"].max() > 0.9 and apart["alpha"].mean() > 0.1
     for name in ("rgb", "alpha"):
         assert np.abs(apart[name] - one[name]).max() < 1e-4, name
+
+
+def test_objects_are_parts_of_the_merged_model():
+    """By their names, those of one name together; a single one's own parts stay, and no part is made of too many objects."""
+    model = random_model(np.random.default_rng(3), 12, appearance="sh0")
+    named = lambda *names: as_seen([Instance(model, np.eye(4), 0.0, name=name) for name in names])[0].parts  # noqa: E731
+    assert named("Ball", "Room", "Ball").names == ("Ball", "Room")
+    np.testing.assert_array_equal(named("Ball", "Room", "Ball")["Ball"], np.repeat([True, False, True], 12))
+    assert named("Ball").names == named(*map(str, range(257))).names == ()
+    own = replace(model, parts=fg.Parts.of({"Hat": np.arange(12) < 3}))
+    assert as_seen([Instance(own, np.eye(4), 0.0, name="Ball")])[0].parts.names == ("Hat",)
 
 
 def test_objects_in_two_colour_spaces_become_one_in_srgb():
