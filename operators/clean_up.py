@@ -56,7 +56,7 @@ class FASTGS_OT_clean_up(Stepwise, _Kinds, bpy.types.Operator):
         if self.select:
             return f"{selection.select(obj, taken):,} Gaussians selected"
         if self.show:
-            context.scene.fastgs.show_erased = True
+            context.window_manager.fastgs.show_erased = True
         selection.erase(obj, taken)
         told = ", ".join(f"{KINDS[name].label.lower()} {bits.sum():,}" for name, bits in found.items() if bits.any())
         blind = "; the file knows no cameras, so that only floaters and stray colours were looked for" if result.unjudged else ""

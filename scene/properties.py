@@ -266,8 +266,6 @@ class FASTGS_PG_scene(bpy.types.PropertyGroup):
         soft_max=400.0, subtype='PIXEL', precision=0)
     select_through: BoolProperty(
         name="Through to the Back", description="Select all Gaussians under what is drawn, and not only those that are seen", default=False)
-    show_erased: BoolProperty(
-        name="Show Erased", description="Show in viewports, in red, what was erased", default=False, update=updates.viewports)
     viewport_density: FloatProperty(
         name="Density in Motion", description="Share of the Gaussians in view to draw while the view moves or the time changes: those "
         "that count most in the picture. 1 draws all, in exact order", subtype='FACTOR', min=0.01, max=1.0, default=0.7,
@@ -317,6 +315,13 @@ class FASTGS_PG_shading(bpy.types.PropertyGroup):
         update=updates.viewports, items=_viewport_passes())
 
 
+class FASTGS_PG_window_manager(bpy.types.PropertyGroup):
+    """What all viewports show.  No undo holds it: to look at what was erased does not end the panel of the operator that erased it."""
+
+    show_erased: BoolProperty(
+        name="Show Erased", description="Show in viewports, in red, what was erased", default=False, update=updates.viewports)
+
+
 class FASTGS_PG_camera(bpy.types.PropertyGroup):
     """A camera that comes from a capture."""
 
@@ -331,13 +336,14 @@ class FASTGS_PG_camera(bpy.types.PropertyGroup):
 
 
 CLASSES = (FASTGS_PG_training, FASTGS_PG_crop, FASTGS_PG_filter, FASTGS_PG_probe, FASTGS_PG_object, FASTGS_PG_scene, FASTGS_PG_view_layer,
-           FASTGS_PG_camera, FASTGS_PG_shading)
+           FASTGS_PG_camera, FASTGS_PG_shading, FASTGS_PG_window_manager)
 POINTERS = (
     (bpy.types.Object, FASTGS_PG_object),
     (bpy.types.Scene, FASTGS_PG_scene),
     (bpy.types.ViewLayer, FASTGS_PG_view_layer),
     (bpy.types.Camera, FASTGS_PG_camera),
     (bpy.types.View3DShading, FASTGS_PG_shading),
+    (bpy.types.WindowManager, FASTGS_PG_window_manager),
 )
 
 

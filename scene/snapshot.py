@@ -80,12 +80,13 @@ class Snapshot:
         """All of it as values that can be compared."""
         return self.frame, self.fps, tuple(item.state for item in self.instances)
 
-    def tinted(self, erased: bool = False) -> Snapshot:
+    def tinted(self, erased: bool = False, alone: bool = False) -> Snapshot:
         """As viewports show it: what of an object is selected, or refused, has a colour, and with `erased` so has what was erased.
 
-        Each colour is an instance of the same model, with another look and all else masked: on the GPU the model stays as it is.
+        With `alone` only what has such a colour is shown.  Each colour is an instance of the same model, with another look and all else
+        masked: on the GPU the model stays as it is.
         """
-        return replace(self, instances=[each for item in self.instances for each in _tinted(item, erased)])
+        return replace(self, instances=[each for item in self.instances for each in _tinted(item, erased)[alone:]])
 
     def load(self, load_model=objects.load_model, read: bool = True) -> tuple[list[Instance], list[tuple[str, str]]]:
         """(the instances to render, [(object's name, why it is left out), ...]).  Reads the files that are not in memory.

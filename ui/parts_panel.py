@@ -61,7 +61,7 @@ class FASTGS_PT_parts_erase(_Below, bpy.types.Panel):
         layout.operator("fastgs.clean_up", icon='SHADERFX')
         if context.object.fastgs.mask:
             row = layout.row(align=True)
-            row.prop(context.scene.fastgs, "show_erased", toggle=True)
+            row.prop(context.window_manager.fastgs, "show_erased", toggle=True)
             row.operator("fastgs.invert_hidden", text="Swap")
         layout.operator("fastgs.delete_for_good", icon='TRASH')
 

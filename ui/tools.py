@@ -25,7 +25,7 @@ KEYS = (
     _press('J', "fastgs.join_parts", "ctrl"),
     *(_press(key, "fastgs.erase") for key in ('X', 'DEL', 'H')),
     _press('H', "fastgs.show_hidden", "alt"),
-    _press('E', "wm.context_toggle", data_path="scene.fastgs.show_erased"),
+    _press('E', "wm.context_toggle", data_path="window_manager.fastgs.show_erased"),
 )
 """Of all tools, as Edit Mode has them; E shows what was erased."""
 SIZE = (
@@ -55,7 +55,7 @@ class _Tool:
         if shape in ROUND:
             layout.prop(context.scene.fastgs, "brush_radius")
         if tool.idname.startswith("fastgs.erase"):
-            layout.prop(context.scene.fastgs, "show_erased")
+            layout.prop(context.window_manager.fastgs, "show_erased")
             return
         if shape != 'CLICK':
             layout.prop(context.scene.fastgs, "select_through")

@@ -73,11 +73,12 @@ class Viewports:
                           rendered)
 
     def drawn_of(self, space, depsgraph, rendered: bool = False) -> snapshot.Snapshot:
-        """The same as it is drawn: overlays colour what is selected."""
-        shown, erased = self.snapshot_of(space, depsgraph, rendered), depsgraph.scene.fastgs.show_erased
+        """The same as it is drawn: overlays colour what is selected, and Wireframe shows nothing else."""
+        shown, erased = self.snapshot_of(space, depsgraph, rendered), bpy.context.window_manager.fastgs.show_erased
         if not space.overlay.show_overlays:
             return shown
-        return self._once("drawn", lambda: shown.tinted(erased), space, depsgraph, rendered, erased)
+        alone = space.shading.type == 'WIREFRAME'
+        return self._once("drawn", lambda: shown.tinted(erased, alone), space, depsgraph, rendered, erased, alone)
 
     def has_surfaces(self, space, depsgraph) -> bool:
         """Whether a viewport shows surfaces beside splats."""
@@ -147,7 +148,8 @@ class Viewports:
         if not proxies.up_to_date():  # the window shows another scene
             self.start()
         _draw_pictures(context, depsgraph)
-        over = shows_over(space, scene)
+        wires = space.shading.type == 'WIREFRAME'
+        over = scene.fastgs.show_splats and space.overlay.show_overlays if wires else shows_over(space, scene)
         aside = self.views.pop((context.region.as_pointer(), over), None)
         if aside is not None:  # the other of the two ways in which a region can draw splats
             aside.free()
@@ -157,7 +159,7 @@ class Viewports:
             return
         xray = space.shading.type == 'SOLID' and space.shading.show_xray
         display = Display(np.eye(3), opacity=space.shading.xray_alpha if xray else 1.0, **passepartout(context, depsgraph))
-        self._draw(context, depsgraph, display, rendered=False, hidden=not xray)
+        self._draw(context, depsgraph, display, rendered=False, hidden=not (xray or wires))
 
     def _cover(self, context, depsgraph):
         """Remove the parts of Blender's overlays that lie behind splats, in Rendered shading under our engine."""

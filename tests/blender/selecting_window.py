@@ -61,7 +61,7 @@ def things(model):
         bpy.ops.ed.undo()
     facts["one step"] = splat().fastgs.selection == before
     yield from press('E', area)
-    facts["shown erased"] = bpy.context.scene.fastgs.show_erased
+    facts["shown erased"] = bpy.context.window_manager.fastgs.show_erased
     yield from choose("fastgs.select_brush", area)
     bpy.context.scene.fastgs.brush_radius = 12
     yield from drag(at((-70, -120), (0, -125), (70, -120)))

@@ -57,7 +57,7 @@ def test_the_tools_that_select(user, model):
         return int(((red > 2.5 * blue) & (red > 1.2 * green) & (red > 0.25)).sum()), int(((blue > 2 * red) & (blue > 0.3)).sum())
 
     before, plain = coloured("select-before"), coloured("select-without-overlays")
-    for shading in ("material", "workbench", "rendered"):
+    for shading in ("wireframe", "material", "workbench", "rendered"):
         orange, blue = coloured(f"select-{shading}")
         assert orange > before[0] + 2000 and blue > before[1] + 300, (shading, orange, blue, before)
     assert coloured("select-solid")[0] > before[0] + 2000 and plain[0] < before[0] + 500

@@ -146,8 +146,8 @@ def selecting(model):
     yield from drag(at((-100, 0), (-60, 10), (-20, 0)), ctrl=True)
     keep("taken")
     facts["refused"] = splat().fastgs.refused
-    for name, shading, engine in (("material", 'MATERIAL', 'FASTGS'), ("workbench", 'RENDERED', 'BLENDER_WORKBENCH'),
-                                  ("rendered", 'RENDERED', 'FASTGS')):
+    for name, shading, engine in (("wireframe", 'WIREFRAME', 'FASTGS'), ("material", 'MATERIAL', 'FASTGS'),
+                                  ("workbench", 'RENDERED', 'BLENDER_WORKBENCH'), ("rendered", 'RENDERED', 'FASTGS')):
         scene.render.engine, space.shading.type = engine, shading
         yield from settled(f"select-{name}")
     space.overlay.show_overlays = False

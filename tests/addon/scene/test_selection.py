@@ -101,6 +101,17 @@ def test_strokes_and_kinds_select(row, module, stroke, fg):
     assert bpy.ops.fastgs.erase() == {'FINISHED'} and bits("mask") == sorted([*erased, 4, 5]) and not bits()
 
 
+def test_wireframe_shows_what_is_selected_and_nothing_else(row, module):
+    selection, snapshot = module("scene.selection"), module("scene.snapshot")
+    taken = lambda: snapshot.take(bpy.context.evaluated_depsgraph_get(), rendered=False)  # noqa: E731
+    assert not taken().tinted(alone=True).instances
+    selection.drawn(row, np.isin(np.arange(10), (1, 2, 3)), 'SET')
+    selection.drawn(row, np.isin(np.arange(10), (3,)), 'SUBTRACT')
+    bpy.context.view_layer.update()
+    shown = [np.flatnonzero(~instance.hidden).tolist() for instance in taken().tinted(alone=True).load()[0]]
+    assert shown == [[1, 2], [3]] and len(taken().tinted().instances) == 3
+
+
 def test_only_what_is_seen_is_selected_unless_through(fg, module, model_file, add_camera, scene, now):
     """A small Gaussian behind an opaque wall of many is selected through the wall alone; a ball takes what is near its middle in space."""
     x, z = (a.ravel() for a in np.meshgrid(np.linspace(-1, 1, 30), np.linspace(-1, 1, 30)))
@@ -142,7 +153,18 @@ def test_clean_up_hides_what_the_library_proposes_and_its_strength_changes_it(di
     assert not obj.fastgs.mask
     assert np.array_equal(selection.bits(obj, "selection"), fg.clean(dirty, 1.0, kinds=["haze", "colours"]).taken)
     bpy.ops.fastgs.clean_up(strength=1.0, show=True)
-    assert bpy.context.scene.fastgs.show_erased and selection.bits(obj, "mask").any()
+    assert bpy.context.window_manager.fastgs.show_erased and selection.bits(obj, "mask").any()
+
+
+def test_looking_at_what_was_erased_leaves_the_panel_of_clean_up(dirty, module):
+    """The key's operator is no step of undo, and no other step changes what it has set."""
+    bpy.ops.ed.undo_push(message="Imported")
+    assert bpy.ops.fastgs.clean_up('EXEC_DEFAULT', True, strength=1.0) == {'FINISHED'}
+    operator, _, told = next(entry for entry in module("ui.tools").KEYS if entry[1]["type"] == 'E')
+    assert operator == "wm.context_toggle" and bpy.ops.wm.context_toggle('EXEC_DEFAULT', True, **dict(told["properties"])) == {'CANCELLED'}
+    bpy.ops.ed.undo()
+    assert bpy.context.window_manager.fastgs.show_erased and not bpy.context.object.fastgs.mask
+    bpy.context.window_manager.fastgs.show_erased = False
 
 
 def test_clean_up_leaves_other_parts_alone(dirty, fg, module):

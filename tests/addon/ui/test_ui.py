@@ -17,6 +17,7 @@ def drawn(cls, **context):
     defaults = dict(space_data=space, object=bpy.context.object, scene=bpy.context.scene, mode='OBJECT',
                     selected_objects=bpy.context.selected_objects, view_layer=bpy.context.view_layer,
                     region=SimpleNamespace(width=REGIONS[cls.bl_region_type]), preferences=bpy.context.preferences,
+                    window_manager=bpy.context.window_manager,
                     engine=bpy.context.scene.render.engine, screen=bpy.context.window_manager.windows[0].screen)
     layout = Layout()
     cls.draw(SimpleNamespace(layout=layout), SimpleNamespace(**(defaults | context)))
