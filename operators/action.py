@@ -20,7 +20,8 @@ class Need(NamedTuple):
 
 OBJECT_MODE = Need(lambda context: context.mode == 'OBJECT', "Go to Object Mode first")
 SPLATS = Need(lambda context: objects.is_splat(context.object), "Select an object that shows splats")
-EDITABLE_SPLATS = Need(lambda context: objects.is_splat(context.object) and context.object.is_editable, SPLATS.reason)
+EDITABLE_SPLATS = Need(lambda context: objects.is_splat(context.object) and context.object.is_editable,
+                       "Select an object that shows splats; a linked one can be changed once it is local, or an override")
 VIEW_3D = Need(lambda context: context.space_data is not None and context.space_data.type == 'VIEW_3D', "A 3D view is needed")
 IN_VIEW = Need(lambda context: VIEW_3D.met(context) and context.region_data is not None, VIEW_3D.reason)
 """With the mouse in it, from a script with its region."""

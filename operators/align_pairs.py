@@ -20,6 +20,8 @@ from .action import IN_VIEW, OBJECT_MODE, Action
 from .stepwise import VIEW
 from .stitch import TWO
 
+DOUBTFUL = 0.1
+"""Share of how far the places lie from each other, from which on a rest between the pairs is no inexact click."""
 COLOURS = ((1.0, 0.6, 0.2, 1.0), (0.35, 0.65, 1.0, 1.0))
 """Of the places on the object that moves and on the one that stays."""
 
@@ -43,6 +45,10 @@ class FASTGS_OT_align_pairs(Action, bpy.types.Operator):
         places = np.array(self.places, np.float64).reshape(3, 2, 3)
         found = similarity(places[:, 0], places[:, 1], self.scale)
         stitching.move(context, obj, fixed, found.matrix)
+        if found.residual > DOUBTFUL * np.linalg.norm(places[:, 1] - places[:, 1].mean(0), axis=1).mean():
+            self.warn(f'the pairs do not fit each other: moved onto "{fixed.name}", their places are {found.residual:.3g} apart; undo '
+                      "this, and click the same places on both")
+            return None
         sized = f", scaled by {found.scale:.4g}" if self.scale else ""
         return f'"{obj.name}" lies on "{fixed.name}"{sized}; its places are {found.residual:.3g} apart'
 
@@ -69,7 +75,7 @@ class FASTGS_OT_align_pairs(Action, bpy.types.Operator):
         if event.type in {'BACK_SPACE', 'Z'} and event.value == 'PRESS' and self._found:
             self._found.pop()
             self._tell(context)
-        elif event.type == 'LEFTMOUSE' and event.value == 'PRESS' and not event.alt:
+        elif event.type == 'LEFTMOUSE' and event.value == 'PRESS' and not event.alt and self._holds(event):
             place = picked(context, self._objects[len(self._found) % 2], event.mouse_region_x, event.mouse_region_y)
             if place is None:
                 self.warn(f'"{self._objects[len(self._found) % 2].name}" has nothing solid there')
@@ -83,6 +89,10 @@ class FASTGS_OT_align_pairs(Action, bpy.types.Operator):
         elif event.type in VIEW or event.alt:
             return {'PASS_THROUGH'}
         return {'RUNNING_MODAL'}
+
+    def _holds(self, event):
+        """Whether the mouse is in the view."""
+        return 0 <= event.mouse_region_x < self._region.width and 0 <= event.mouse_region_y < self._region.height
 
     def _tell(self, context):
         number, side = divmod(len(self._found), 2)

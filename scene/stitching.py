@@ -78,7 +78,9 @@ def move(context, obj, fixed, motion: np.ndarray) -> None:
 
 
 def grade(obj, looks: dict) -> None:
-    """Give an object looks.  Raises FastGSError where keys or drivers hold one of them."""
+    """Give an object looks.  Raises FastGSError where keys or drivers hold one of them, or it is linked."""
+    if not obj.is_editable:
+        raise FastGSError(f'"{obj.name}" is linked from another file and cannot be graded; make it local, or an override.')
     for name in looks:
         for path in (f"fastgs.{name}", *(f"fastgs.{name}[{i}]" for i in range(3))):
             if keys.curve_of(obj, path) or keys.driver_of(obj, path):

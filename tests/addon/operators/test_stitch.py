@@ -56,6 +56,28 @@ def test_three_pairs(fg, two, parented):
     assert np.array(obj.matrix_world) == pytest.approx(before, abs=2e-5) and np.array(fixed.matrix_world) == pytest.approx(before)
 
 
+def test_pairs_that_do_not_fit_are_told(fg, two, capfd):
+    """Such as three that were clicked in the wrong order; places that are a little off are no such pairs."""
+    obj, fixed = two(*[part(fg, 0, -1, 1, axes="RFU")] * 2)
+    points = np.array([[0, 0, 0], [1, 0.2, 0], [0, 1, 0.5]])
+    places = pairs_of(obj, fixed, points)
+    assert bpy.ops.fastgs.align_pairs(places=np.array(places) + np.random.default_rng(0).normal(0, 0.02, 18)) == {'FINISHED'}
+    assert "Warning" not in capfd.readouterr().out
+    places[3:6], places[9:12] = places[9:12], places[3:6]
+    assert bpy.ops.fastgs.align_pairs(places=places) == {'FINISHED'}
+    assert "do not fit" in capfd.readouterr().out
+
+
+def test_a_linked_capture_is_not_graded(fg, two, module, tmp_path):
+    two(*[part(fg, 0, -1, 1)] * 2)
+    bpy.ops.wm.save_as_mainfile(filepath=str(tmp_path / "library.blend"), copy=True)
+    with bpy.data.libraries.load(str(tmp_path / "library.blend"), link=True) as (_, wanted):
+        wanted.objects = ["second"]
+    with pytest.raises(fg.FastGSError, match="linked"):
+        module("scene.stitching").grade(wanted.objects[0], {"exposure": 1.0})
+    assert wanted.objects[0].fastgs.exposure == 0
+
+
 def test_what_would_not_stay_is_refused(fg, two):
     model = part(fg, 0, -1, 1)
     obj, fixed = two(model, model)
