@@ -9,13 +9,14 @@
                        and from the same frame sliced beforehand into a static model
 * peak memory          of a process that loads 1 M Gaussians and renders a frame, Python and compiled kernels included; and beyond an
                        idle process
-* warm start           of a process: imports, first frame, kernels from the cache
+* start to first frame of a process: imports, a frame of 10 000 Gaussians, kernels from the cache; the same with none compiled
 """
 from __future__ import annotations
 
 import argparse
 import json
 import os
+import resource
 import shutil
 import statistics
 import subprocess
@@ -30,32 +31,14 @@ ROOT = Path(__file__).resolve().parents[1]
 LIMIT = Path(__file__).with_name("raster_limit.cpp")
 sys.path.insert(0, str(ROOT))
 
+from cloud import scene  # noqa: E402
+
 import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.kernels.cpu import raster, rasterise, splats, tile_lists  # noqa: E402
 from fastgs_blender.kernels.cpu.project import SCALE  # noqa: E402
 from fastgs_blender.rendering.instances import Instance  # noqa: E402
 from fastgs_blender.rendering.layout import Layout  # noqa: E402
 from fastgs_blender.util import threads  # noqa: E402
-
-
-def scene(n: int, width: int, height: int, appearance: str = "rgb") -> tuple[fg.GaussianModel, fg.Camera]:
-    """A cloud that fills the view: about 7 tiles a splat, opacities from faint to solid, Fourier motion, slow turning."""
-    rng = np.random.default_rng(0)
-    focal = 0.9 * width
-    depth = rng.uniform(3, 9, n)
-    x, y = rng.uniform(-0.55, 0.55, (2, n)) * depth / focal
-    position = np.stack([x * width, y * height, depth], 1)
-    decoder = fg.Features(rng.normal(0, 0.3, (6, 12)), rng.normal(0, 0.3, (3, 6)), "clamp")
-    kinds = {"rgb": (fg.RGB(), 3), "sh": (fg.SH(3), 48), "features": (decoder, 9)}
-    look, columns = kinds[appearance]
-    pixels = 5.2 * (300_000 / n) ** 0.5
-    model = fg.GaussianModel(
-        position=position, rotation=rng.normal(size=(n, 4)), scale=np.log(pixels * depth[:, None] / focal) + rng.normal(-0.2, 0.5, (n, 3)),
-        opacity=rng.normal(0, 2, n), features=rng.uniform(0, 1, (n, columns)) * 0.5,
-        motion=rng.normal(0, 0.02, (n, 10, 3)), rotation_motion=rng.normal(0, 0.2, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n),
-        temporal=rng.normal(-2, 1, (n, 1)), basis=fg.Fourier(5), rotation_basis=fg.Polynomial(1), temporal_kind=fg.Radial(),
-        appearance=look, raster=fg.Raster(alpha_max=0.999, near=0.01))
-    return model, fg.Camera(width, height, focal, focal, width / 2, height / 2, np.eye(4))
 
 
 def timed(*functions, runs: int) -> list[list[float]]:
@@ -137,11 +120,14 @@ def whole_frame(n, width, height, runs, appearance) -> dict:
             "4D / static": statistics.median(a / b for a, b in zip(frame, still))}
 
 
-def child(code: str) -> dict:
-    """Run Python code in a process of its own; what it prints last is JSON."""
-    begin = time.perf_counter()
-    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True).stdout
-    return json.loads(out.splitlines()[-1]) | {"process s": time.perf_counter() - begin}
+def child(code: str, **environment: str) -> dict:
+    """Run Python code in a process of its own; what it prints last is JSON.  Python may keep modules compiled, as it does for users."""
+    inherited = {name: value for name, value in os.environ.items() if name != "PYTHONDONTWRITEBYTECODE"}
+    begin, before = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    out = subprocess.run([sys.executable, "-c", code], cwd=ROOT, env=inherited | environment, check=True, stdout=subprocess.PIPE, text=True)
+    end, after = time.perf_counter(), resource.getrusage(resource.RUSAGE_CHILDREN)
+    spent = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
+    return json.loads(out.stdout.splitlines()[-1]) | {"process s": end - begin, "its processor time s": spent}
 
 
 def peak_memory(n, width, height, appearance) -> dict:
@@ -167,17 +153,20 @@ print(json.dumps({{"model": model.nbytes, "peak": peak}}))
             "(peak - idle) / model": (peak["peak"] - idle["peak"]) / model}
 
 
-def warm_start() -> dict:
-    """Process start to first frame with the kernels in the cache (the second of two processes)."""
+def start(runs: int) -> dict:
+    """Process start to first frame: with the kernels in the cache, the median of several processes; and with none compiled."""
     code = """
 import sys; sys.path.insert(0, "benchmarks")
-import raster_cpu as bench
-model, camera = bench.scene(10_000, 640, 360)
-bench.fg.render(model, camera, 0.4, backend="cpu")
+from cloud import fg, scene
+fg.render(*scene(10_000, 640, 360), 0.4, backend="cpu")
 print("{}")
 """
     child(code)
-    return child(code)
+    warm = [child(code) for _ in range(runs)]
+    with tempfile.TemporaryDirectory() as folder:
+        cold = child(code, FASTGS_CACHE_DIR=folder)
+    found = {name: statistics.median(run[name] for run in warm) for name in warm[0]}
+    return found | {f"none compiled: {name}": cold[name] for name in cold}
 
 
 def main():
@@ -194,7 +183,7 @@ def main():
         "whole frame, features + decoder": lambda: whole_frame(args.gaussians, width, height, args.runs, "features"),
         "peak memory, 1 M Gaussians": lambda: peak_memory(1_000_000, width, height, "rgb"),
         "peak memory, 1 M Gaussians, features": lambda: peak_memory(1_000_000, width, height, "features"),
-        "warm start": warm_start,
+        "start to first frame": lambda: start(args.runs),
     }
     results = {}
     for title, measure in sections.items():

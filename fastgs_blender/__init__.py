@@ -19,11 +19,11 @@ What goes wrong raises FastGSError, whose message is one sentence; what is lost 
 from .util import stopping as stopping  # first: signals may come while the rest is imported
 
 # isort: split
-import importlib
 import importlib.util
 from typing import TYPE_CHECKING, Any
 
 from .util.errors import FastGSError, LossWarning
+from .util.importing import import_quickly
 from .util.version import VERSION
 
 if TYPE_CHECKING:  # the same names as in PLACES; a test compares them
@@ -102,9 +102,9 @@ __all__ = [
 def __getattr__(name: str) -> Any:
     """A public name, or one of the library's rooms, imported now (PEP 562)."""
     if name in _place_of:
-        found = getattr(importlib.import_module(f".{_place_of[name]}", __name__), name)
+        found = getattr(import_quickly(f".{_place_of[name]}", __name__), name)
     elif not name.startswith("_") and importlib.util.find_spec(f"{__name__}.{name}"):
-        return importlib.import_module(f".{name}", __name__)
+        return import_quickly(f".{name}", __name__)
     else:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     globals()[name] = found

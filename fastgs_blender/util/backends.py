@@ -4,7 +4,6 @@
 Nothing outside kernels/ imports a backend's modules; it asks here.  What a backend must offer is kernels/protocol.py.  A backend is
 loaded by name on first use, because one may need what is not installed (numba).
 """
-import importlib
 import logging
 import os
 from collections.abc import Callable
@@ -12,6 +11,7 @@ from types import ModuleType
 from typing import Any
 
 from .errors import FastGSError
+from .importing import import_quickly
 from .threads import thread_count
 from .verdicts import Verdict
 
@@ -117,4 +117,4 @@ def try_again() -> None:
 
 
 def _module(name: str) -> ModuleType:
-    return importlib.import_module(f"{__package__.rpartition('.')[0]}.{name}")
+    return import_quickly(f"{__package__.rpartition('.')[0]}.{name}")

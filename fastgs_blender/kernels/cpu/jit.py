@@ -35,6 +35,16 @@ class Code(CompileResultCacheImpl):
 
     _locator_classes = [Place]
 
+    def rebuild(self, target_context, payload):
+        """The stored function.  numba's own way parses its bitcode and lists all symbols in it, 0.02 s for a first frame.  Bitcode is
+        needed where a function is compiled that calls this one, so it is parsed then.  Python calls one symbol."""
+        (name, kind, (machine_code, bitcode)), described, *rest = payload
+        target_context.codegen()._engine._defined_symbols.add(described.llvm_cpython_wrapper_name)
+        nothing = binding.parse_assembly("").as_bitcode()
+        compiled = super().rebuild(target_context, ((name, kind, (machine_code, nothing)), described, *rest))
+        compiled.library._get_module_for_linking = functools.partial(binding.parse_bitcode, bitcode)
+        return compiled
+
 
 @functools.cache
 def _runtime():

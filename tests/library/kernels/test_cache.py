@@ -49,3 +49,35 @@ print(added(1), sum(added.stats.cache_hits.values()))
         return subprocess.run([sys.executable, file], env=environment, check=True, capture_output=True, text=True).stdout.split()
 
     assert [run("here", 1), run("there", 1), run("new", 2)] == [["2", "0"], ["2", "1"], ["3", "0"]]
+
+
+@pytest.mark.slow
+def test_bitcode_of_cached_code_is_parsed_where_another_function_is_compiled_with_it(tmp_path):
+    """Not when the code is loaded: that took a quarter of the time in which a process loads kernels."""
+    one = """from llvmlite import binding
+from fastgs_blender.kernels.cpu.jit import kernel
+parsed, parse = [], binding.parse_bitcode
+binding.parse_bitcode = lambda code: parsed.append(code) or parse(code)
+@kernel
+def added(x):
+    return x + 1
+if __name__ == "__main__":
+    print(added(1), sum(added.stats.cache_hits.values()), any(len(code) > 2000 for code in parsed))
+"""
+    two = """from one import added, kernel
+@kernel
+def twice(x):
+    return added(x) + added(x + 1)
+print(twice(1), sum(added.stats.cache_hits.values()), sum(twice.stats.cache_hits.values()))
+"""
+    (tmp_path / "one.py").write_text(one, "ascii")
+    (tmp_path / "two.py").write_text(two, "ascii")
+    environment = os.environ | {"FASTGS_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
+
+    def run(name):
+        return subprocess.run([sys.executable, tmp_path / name], env=environment, check=True, capture_output=True, text=True).stdout.split()
+
+    assert run("one.py") == ["2", "0", "False"]
+    assert run("one.py") == ["2", "1", "False"], "code is loaded without its bitcode"
+    assert run("two.py")[0] == "5", "and is compiled into another function all the same"
+    assert run("two.py") == ["5", "0", "1"], "which is kept as well"
