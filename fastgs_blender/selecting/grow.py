@@ -18,8 +18,9 @@ import numpy as np
 from ..model.gaussians import GaussianModel
 from ..model.slicing import positions_at
 from ..rendering.filters import base_colours
+from ..util.curve import hilbert_order
 from ..util.errors import FastGSError
-from .joins import joins
+from .joins import LOOSE, joins
 from .spans import continued, spanned
 
 PULL, MOST_PULL = 0.3, 0.03
@@ -47,10 +48,6 @@ FEW = 40
 """A stroke over fewer Gaussians, as a click, has less to hold up: each Gaussian is pulled to 0 by so much less."""
 LEAST = 0.02
 """What is left at least of the pull of a stroke's Gaussian whose neighbours say otherwise."""
-NEAREST = 0.3
-"""Joins get no stronger below this distance, in units of the usual one."""
-LOOSE = 1e-6
-"""Least weight of a join."""
 
 
 def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) -> np.ndarray:
@@ -70,19 +67,18 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     rest = REST * (1 + OTHER * other) if against else REST_ALONE
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
-    i, j = found.ends.T
-    weight = (np.exp(-found.drift - found.tint) / np.maximum(found.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
-    degree = np.bincount(i, weight, len(model)) + np.bincount(j, weight, len(model)) + LOOSE
+    order, (i, j) = hilbert_order(model.position), found.ends.T
+    weight, degree = found.held(len(model))
     many = min(MANY / len(model), 1) ** 1.5
     pull = min(PULL * many, MOST_PULL) * degree * np.abs(side)
     rest = rest * many * degree * min(int(yes.sum()) / FEW, 1)
-    y = potential(found.ends, weight, pull + rest, pull * side, model.position)
+    y = potential(found.ends, weight, pull + rest, pull * side, order)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
-    y = potential(found.ends, weight, pull + rest, pull * side, model.position)
+    y = potential(found.ends, weight, pull + rest, pull * side, order)
     if not against:
         return y > BORDER_ALONE * float(y[yes].mean())
-    y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, model.position)
+    y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, order)
     shares = np.geomspace(*BORDERS, TRIED)
     tried = shares * max(float(y[yes].mean()), 0.0)
     above, far = np.searchsorted(tried, y), TRIED + 1  # of how many borders a Gaussian is within
@@ -97,7 +93,7 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:
     """How far the colour of each Gaussian [N] is none of the stroke's: 0 to 1."""
-    colour = base_colours(model)
+    colour = base_colours(model).astype(np.float32)
     stroke = colour[np.flatnonzero(yes)[:: -(-int(yes.sum()) // SEEN)]]
     squared = (colour**2).sum(1)[:, None] + (stroke**2).sum(1) - 2 * colour @ stroke.T
     third = min(3, len(stroke)) - 1

@@ -27,6 +27,11 @@ FIRM, FAR = 4.0, 5.0
 MOST_STRETCH, MOST_TINT = 12.0, 6.0
 """The most of `drift` and of `tint`: a thing has several colours, but does not come apart."""
 
+NEAREST = 0.3
+"""Joins get no stronger below this distance, in units of the usual one."""
+LOOSE = 1e-6
+"""Least weight of a join."""
+
 
 @dataclass(frozen=True, eq=False)
 class Joins:
@@ -43,11 +48,19 @@ class Joins:
     drift: np.ndarray
     tint: np.ndarray
 
+    def held(self, count: int) -> tuple[np.ndarray, np.ndarray]:
+        """How strongly each pair holds together [E] float32, and the sum [count] of what meets in each Gaussian."""
+        weight = (np.exp(-self.drift - self.tint) / np.maximum(self.near, NEAREST) ** 2 + LOOSE).astype(np.float32)
+        i, j = self.ends.T
+        return weight, np.bincount(i, weight, count) + np.bincount(j, weight, count) + LOOSE
+
 
 @kept
 @np.errstate(all="ignore")
 def joins(model: GaussianModel) -> Joins:
     """The joins of a model's Gaussians, kept while it lives.  Gaussians that are never seen have none."""
+    from ..kernels.cpu.walk import distances  # it brings numba, which enabling the add-on must not
+
     times = (np.arange(TIMES) + 0.5) / TIMES
     place = np.stack([positions_at(model, t) for t in times]).astype(np.float32)
     alive = np.stack([opacities_at(model, t) >= ALIVE for t in times])
@@ -67,10 +80,7 @@ def joins(model: GaussianModel) -> Joins:
     pairs = np.unique(np.concatenate(keys))
     i, j = ends = pairs // max(len(model), 1), pairs % max(len(model), 1)
     low, high = np.full(len(pairs), np.inf, np.float32), np.zeros(len(pairs), np.float32)
-    for at, seen in zip(place, alive):
-        both = np.flatnonzero(seen[i] & seen[j])
-        apart = np.linalg.norm(at[i[both]] - at[j[both]], axis=1)
-        low[both], high[both] = np.minimum(low[both], apart), np.maximum(high[both], apart)
+    distances(np.stack(ends, 1), place.transpose(1, 0, 2).copy(), alive.T.copy(), low, high)
     usual /= np.maximum(weight, 1)
     unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
     colour = base_colours(model)

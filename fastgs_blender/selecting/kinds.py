@@ -8,14 +8,12 @@ import numpy as np
 
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Source
-from ..rendering.filters import Filter, parting, values
+from ..rendering.filters import Filter, values
 from ..util.errors import FastGSError
-from .grow import grow
+from .moving import moving, parted
 
 MOST = 1e6
 """The upper end of a range that has none."""
-SURE = 0.25
-"""What is slower than this share of the speed from which on a Gaussian moves, stands still."""
 GROWN = ("MOVING", "STATIC")
 """The kinds that are selected by whole things, which takes seconds."""
 
@@ -43,11 +41,7 @@ def _still(source: Source) -> Filter:
 
 
 def _fast(model: GaussianModel) -> float:
-    """The speed that parts what moves from what is still, by how large and how long each Gaussian is seen: specks of a trained model are
-    the fastest of all."""
-    size = values(model, "SIZE")
-    seen = np.sqrt(values(model, "OPACITY") * values(model, "LIFETIME"))
-    return parting(values(model, "SPEED"), seen * np.minimum(size, np.percentile(size, 99)) if len(model) else None)
+    return parted(model, values(model, "SPEED"))
 
 
 def _short(source: Source) -> Filter:
@@ -82,16 +76,11 @@ KINDS: dict[str, Kind] = {
 def chosen(model: GaussianModel, kind: str, colour: tuple[float, float, float] | None = None) -> np.ndarray:
     """Which Gaussians of a model are of a kind of KINDS: [N] bool.  colour: sRGB, of "COLOUR".  Raises FastGSError.
 
-    What moves is grown to whole things (grow.py): a ball that rolls and stops is of Gaussians that show it rolling and others that show it
-    lying, and these do not move.
+    What moves are whole things (moving.py).
     """
     if kind not in KINDS:
         raise FastGSError(f"the kind {kind!r} of Gaussians is unknown; there are {', '.join(KINDS)}.")
     if kind in GROWN:
-        speed, fast = values(model, "SPEED"), _fast(model)
-        moves = speed >= fast
-        if moves.any():
-            moves = grow(model, moves, speed < SURE * fast)
-        return moves if kind == "MOVING" else ~moves
+        return moving(model) if kind == "MOVING" else ~moving(model)
     found = KINDS[kind].filter(model)
     return (found if colour is None else replace(found, colour=colour)).holds(model)

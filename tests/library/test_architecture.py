@@ -24,7 +24,8 @@ BACKEND_USERS = {
     "fastgs_blender/captures/pixels/framefiles.py": {"cache"},  # decoded frames are kept beside compiled kernels
     "fastgs_blender/formats/packing.py": {"jit"},  # unpacks LZ4 byte by byte, which Python alone is too slow for
     "fastgs_blender/selecting/grow.py": {"walk"},  # a graph, not a picture
-    "fastgs_blender/selecting/spans.py": {"walk"},
+    "fastgs_blender/selecting/spans.py": {"walk"}, "fastgs_blender/selecting/joins.py": {"walk"},
+    "fastgs_blender/selecting/moving.py": {"walk"},
     "fastgs_blender/formats/rounding.py": {"jit"},  # rounds each number by the one before
     "scene/settings.py": {"cache"},  # Blender's folder for caches
     "engine/diagnostics.py": {"cache"},  # what is compiled

@@ -4,19 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from ...util.curve import hilbert_order
 from .jit import kernel
 
 CLOSE, MOST = 0.01, 600
 """Steps end where the residual is this share of the first one, or after so many."""
 
 
-def potential(ends: np.ndarray, weight: np.ndarray, ground: np.ndarray, source: np.ndarray, position: np.ndarray) -> np.ndarray:
+def potential(ends: np.ndarray, weight: np.ndarray, ground: np.ndarray, source: np.ndarray, order: np.ndarray) -> np.ndarray:
     """The y [N] float32 for which sum_e weight (y_i - y_j)^2 + sum_i ground_i y_i^2 - 2 source_i y_i is least.
 
-    ends [E, 2], weight [E] are the graph's edges; ground [N] > 0, source [N]; position [N, 3] puts neighbours side by side in memory
+    ends [E, 2], weight [E] are the graph's edges; ground [N] > 0, source [N]; order [N] puts neighbours side by side in memory
     """
-    count, order = len(position), hilbert_order(position)
+    count = len(order)
     rank = np.empty(count, np.int32)
     rank[order] = np.arange(count, dtype=np.int32)
     one = np.concatenate([rank[ends[:, 0]], rank[ends[:, 1]]])
@@ -67,3 +66,36 @@ def pieces(count, ends):
     for a in range(count):
         first[a] = first[first[a]]  # the first node of a piece comes before all others
     return first
+
+
+def gathered(ends: np.ndarray, values: np.ndarray) -> np.ndarray:
+    """For each node the sum of its own values [N, S, K] float32 and of those that edges, ends [E, 2], join it with."""
+    total = values.copy()
+    add_neighbours(ends, values, total)
+    return total
+
+
+@kernel
+def add_neighbours(ends, values, total):
+    """Add to each node's total [N, S, K] the values [N, S, K] of those that edges join it with."""
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        for s in range(values.shape[1]):
+            for k in range(values.shape[2]):
+                total[a, s, k] += values[b, s, k]
+                total[b, s, k] += values[a, s, k]
+
+
+@kernel
+def distances(ends, places, seen, low, high):
+    """The least and the greatest distance, low and high [E], that the two ends of each edge have at moments at which both are seen.
+
+    places [N, S, 3] and seen [N, S] are by moments; low and high begin as inf and 0
+    """
+    for e in range(len(ends)):
+        a, b = ends[e, 0], ends[e, 1]
+        for s in range(seen.shape[1]):
+            if seen[a, s] and seen[b, s]:
+                x, y, z = places[a, s, 0] - places[b, s, 0], places[a, s, 1] - places[b, s, 1], places[a, s, 2] - places[b, s, 2]
+                apart = np.sqrt(x * x + y * y + z * z)
+                low[e], high[e] = min(low[e], apart), max(high[e], apart)

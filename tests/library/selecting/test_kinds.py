@@ -52,6 +52,23 @@ def test_slow_things_move_beside_fast_ones():
     assert np.mean(KINDS["MOVING"].filter(scene.model).holds(scene.model) == scene.truth) > 0.99
 
 
+def test_walls_that_drift_stand_still():
+    """As trained ones do: each Gaussian its own way, a third as fast as the ball, and hardly farther than it is large."""
+    t = np.linspace(0, 1, scenes.FRAMES)
+    points, triangles = sphere(12)
+    wall = ((grid(16)[0] - [0.5, 0, 0]) * [6, 3, 1])[:, [0, 2, 1]] + [0, 1.5, 0]
+    scene = scenes.baked({
+        "wall": scenes.Thing(scenes.still(wall), grid(16)[1], (0.6, 0.55, 0.5)),
+        "ball": scenes.Thing(scenes.moved(points * 0.3, np.stack([1.5 * t - 0.75, 0 * t, 0.5 + 0 * t], 1)), triangles, (0.6, 0.3, 0.25)),
+    }, ("ball",), 3000)
+    motion = scene.model.motion.astype(np.float32)
+    motion[~scene.truth] = 0
+    motion[~scene.truth, 0] = np.random.default_rng(0).normal(size=((~scene.truth).sum(), 3)) * 0.15
+    model = replace(scene.model, motion=motion, scale=np.where(scene.truth[:, None], scene.model.scale, np.log(0.3)).astype(np.float32))
+    moving = chosen(model, "MOVING")
+    assert (moving & scene.truth).sum() >= 0.99 * (moving | scene.truth).sum()
+
+
 def test_few_fast_specks_do_not_raise_the_speed():
     """Seven of a hundred numbers are large and hardly seen; what is seen parts 0 from 1."""
     value = np.concatenate([np.zeros(63), np.ones(30), np.linspace(5, 20, 7)])
