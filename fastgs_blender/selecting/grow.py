@@ -38,8 +38,10 @@ BORDERS, TRIED = (0.003, 0.7), 161
 FREE = 3e-5
 """The share of joins within a border below which a weaker cut is no better.  A border of half the height has to cut half as much: of
 equally weak joins, the first ones end the thing."""
-BORDER_ALONE = 0.5
-"""The border where no stroke says what does not belong to the thing: it has no weakest cut then."""
+BORDER_ALONE, TORN, CLEAN, LARGEST = 0.5, 4e-3, 1e-4, 0.8
+"""The border where no stroke says what does not belong to the thing.  Where it cuts such a share of the joins within it, and the weakest
+cut a ten-thousandth of that, the weakest cut counts: a click on a ball means the ball.  Always taken, it would lose parts and take neighbours;
+and where it leaves next to nothing out, it means the room that a capture is joined to."""
 FALL = 0.1
 """Difference of the potential across a join that halves its weight."""
 MANY = 20_000
@@ -64,7 +66,7 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
     against = no is not None and bool(no.any())
     other = _other(model, yes) if against else np.zeros(len(model))
-    rest = REST * (1 + OTHER * other) if against else REST_ALONE
+    rest = REST * (1 + OTHER * other)
     side = yes.astype(np.float32) - (0 if no is None else no)
     found = joins(model)
     order, (i, j) = hilbert_order(model.position), found.ends.T
@@ -72,23 +74,31 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     many = min(MANY / len(model), 1) ** 1.5
     pull = min(PULL * many, MOST_PULL) * degree * np.abs(side)
     rest = rest * many * degree * min(int(yes.sum()) / FEW, 1)
-    y = potential(found.ends, weight, pull + rest, pull * side, order)
+    nearly = rest if against else rest * (REST_ALONE / REST)
+    y = potential(found.ends, weight, pull + nearly, pull * side, order)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
-    y = potential(found.ends, weight, pull + rest, pull * side, order)
-    if not against:
-        return y > BORDER_ALONE * float(y[yes].mean())
+    y = potential(found.ends, weight, pull + nearly, pull * side, order)
+    alone = y > BORDER_ALONE * float(y[yes].mean())
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, order)
-    shares = np.geomspace(*BORDERS, TRIED)
-    tried = shares * max(float(y[yes].mean()), 0.0)
-    above, far = np.searchsorted(tried, y), TRIED + 1  # of how many borders a Gaussian is within
-    ends = np.sort([above[i], above[j]], axis=0)
-    cut = (np.bincount(ends[0], weight, far) - np.bincount(ends[1], weight, far)).cumsum()[:-1]
-    inside = degree.sum() - np.bincount(above, degree, far).cumsum()[:-1]
-    thing = y > tried[np.argmin((cut / np.maximum(inside, LOOSE) + FREE) / shares)]
-    may = y > tried[0]
+    borders, ratio = _cuts(y, float(y[yes].mean()), found.ends, weight, degree)
+    best = np.argmin((ratio + FREE) / np.geomspace(*BORDERS, TRIED))
+    thing, may = y > borders[best], y > borders[0]
+    if not against:
+        torn = weight[alone[i] != alone[j]].sum() / degree[alone].sum()
+        return thing if torn > TORN and ratio[best] < CLEAN * torn and thing.mean() < LARGEST else alone
     thing = spanned(found, yes, thing, may, other < 0.5)
     return continued(found, positions_at(model, 0.5), thing, may)
+
+
+def _cuts(y: np.ndarray, mean: float, ends: np.ndarray, weight: np.ndarray, degree: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """Borders of a potential y [N], and for each the weight of the joins that it cuts by that of those within it."""
+    borders, far = np.geomspace(*BORDERS, TRIED) * max(mean, 0.0), TRIED + 1
+    above = np.searchsorted(borders, y)  # of how many borders a Gaussian is within
+    low, high = np.sort(above[ends].T, axis=0)
+    cut = (np.bincount(low, weight, far) - np.bincount(high, weight, far)).cumsum()[:-1]
+    inside = degree.sum() - np.bincount(above, degree, far).cumsum()[:-1]
+    return borders, cut / np.maximum(inside, LOOSE)
 
 
 def _other(model: GaussianModel, yes: np.ndarray) -> np.ndarray:

@@ -46,6 +46,23 @@ def test_a_click_is_enough(name):
             assert np.mean(grow(scene.model, few, against) == scene.truth) > 0.99
 
 
+@pytest.mark.parametrize("clicked", [1, 6, 20])
+def test_a_click_selects_a_whole_ball(clicked):
+    """It rises over a disc that stands still, and its Gaussians are many."""
+    rng, count = np.random.default_rng(4), 6000
+    direction = rng.normal(size=(count, 3))
+    ball = 0.6 * direction / np.linalg.norm(direction, axis=1, keepdims=True) + [0, 0, 0.95]
+    disc = np.concatenate([rng.uniform(-1, 1, (count // 2, 2)), np.zeros((count // 2, 1))], 1)
+    place, truth = np.concatenate([ball, disc]), np.arange(count + count // 2) < count
+    motion = np.zeros((len(place), 4, 3))
+    motion[truth, 0, 2] = 0.15
+    colour = np.where(truth[:, None], [0.75, 0.2, 0.15], [0.4, 0.4, 0.45]) + rng.uniform(-0.03, 0.03, place.shape)
+    model = fg.GaussianModel(position=place, motion=motion, rotation=rng.normal(size=(len(place), 4)), features=colour,
+                             scale=np.full(place.shape, np.log(0.025)), opacity=np.full(len(place), 3.0), basis=fg.Fourier(2))
+    near = np.argsort(np.linalg.norm(place - ball[0], axis=1))[:clicked]
+    np.testing.assert_array_equal(grow(model, np.isin(np.arange(len(place)), near)), truth)
+
+
 def test_what_stands_still_is_told_by_colour():
     scene = made("still life")
     yes, no = scenes.strokes(scene.model, scene)
