@@ -40,8 +40,8 @@ FREE = 3e-5
 equally weak joins, the first ones end the thing."""
 BORDER_ALONE, TORN, CLEAN, LARGEST = 0.5, 4e-3, 1e-4, 0.8
 """The border where no stroke says what does not belong to the thing.  Where it cuts such a share of the joins within it, and the weakest
-cut a ten-thousandth of that, the weakest cut counts: a click on a ball means the ball.  Always taken, it would lose parts and take neighbours;
-and where it leaves next to nothing out, it means the room that a capture is joined to."""
+cut a ten-thousandth of that, the weakest cut counts: a click on a ball means the ball.  Always taken, it would lose parts and take
+neighbours; and where it leaves next to nothing out, it means the room that a capture is joined to."""
 FALL = 0.1
 """Difference of the potential across a join that halves its weight."""
 MANY = 20_000
