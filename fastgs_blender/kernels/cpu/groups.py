@@ -8,18 +8,21 @@ from __future__ import annotations
 
 from contextlib import contextmanager
 
+import numpy as np
 from llvmlite import ir
 from numba.core import cgutils, types
 from numba.extending import intrinsic
 
 from . import simd
+from .jit import inline
 
 TILE = 16
 BITS = ir.IntType(32)
 ROW = TILE * TILE // simd.LANES
 LINES = 2 * ROW
 """Numbers that reached() leaves: u of each group's first pixel, then from ROW on the row's share of each group's exponent."""
-
+CACHE_LINE = 64
+"""Bytes of a line of the cache, at least."""
 MARGIN = 1e-4
 """By how much log2(alpha) may stay below the cut: rounding never leaves out a group that has a pixel above it."""
 
@@ -27,6 +30,19 @@ MARGIN = 1e-4
 def every(lanes: int) -> int:
     """The bits of all groups."""
     return (1 << TILE * TILE // lanes) - 1
+
+
+@inline
+def scratch(planes):
+    """Memory for a tile: lines [LINES] and so many planes of its pixels [planes TILE^2], float32.
+
+    It begins at a line of the cache, as vectors that lie in two lines take twice the time.  The lines come first: 4096 bytes behind a
+    plane, reading them would wait for what was written to that plane, since processors compare the last 12 bits of addresses.
+    """
+    block = np.empty(LINES + planes * TILE * TILE + CACHE_LINE // 4, np.float32)
+    first = -np.intp(block.ctypes.data) % CACHE_LINE // 4
+    end = first + LINES
+    return block[first:end], block[end:end + planes * TILE * TILE]
 
 
 def along(u, du):

@@ -110,7 +110,7 @@ def contributing(instances, camera) -> list[tuple[np.ndarray, np.ndarray]]:
 @kernel
 def weigh(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, ids, geometry, attributes, shares):
     """The largest share that each splat of the tiles first..last has of a pixel there, in shares, unless it has a larger one already."""
-    left_over, lines = simd.empty(raster.PIXELS), simd.empty(groups.LINES)
+    lines, left_over = groups.scratch(1)
     for tile in range(first, last):
         left, top = (tile_x + tile % columns) * raster.TILE, (tile_y + tile // columns) * raster.TILE
         raster.begin(left_over, left, top, x0, y0, right, bottom)

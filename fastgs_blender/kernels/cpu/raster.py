@@ -216,7 +216,7 @@ def rasteriser(channels: int, probes: tuple[str, ...] = (), trace: int = 0, band
         that it stops, and beside it which share of the pixel it covers; middle_x, middle_y: of the image, where planes begin.
         wanted [tiles] bool: the tiles that are drawn; the pictures keep what they have in the others.
         """
-        state, lines = simd.empty(planes * PIXELS), simd.empty(groups.LINES)
+        lines, state = groups.scratch(planes)
         left_over, stopped = np.empty(PIXELS, np.int64), np.zeros(PIXELS, np.float32)
         when, where = np.empty(0, np.int64), np.empty(0, np.int64)
         for tile in range(first, last):

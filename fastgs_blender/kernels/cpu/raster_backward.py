@@ -138,7 +138,7 @@ def rasteriser_backward(channels: int, band: float = 0.0):
         rows [entries, columns()]: the sums of each entry of ids, written for each tile's first ends[tile] entries; the others'
         splats lie behind all that the tile shows.
         """
-        state, lines = simd.empty(planes * PIXELS), simd.empty(groups.LINES)
+        lines, state = groups.scratch(planes)
         for tile in range(first, last):
             left, top = (tile_x + tile % columns) * TILE, (tile_y + tile // columns) * TILE
             state[:PIXELS] = float32(1.0)

@@ -8,13 +8,10 @@ from __future__ import annotations
 
 from functools import reduce
 
-import numpy as np
 from llvmlite import binding, ir
 from numba.core import types
 from numba.extending import intrinsic
 from numba.np.arrayobj import make_array
-
-from .jit import inline
 
 LANES = 8
 FLOATS = ir.VectorType(ir.FloatType(), LANES)
@@ -22,8 +19,6 @@ INTS = ir.VectorType(ir.IntType(32), LANES)
 WIDE = 2 * LANES if binding.get_host_cpu_features().get("avx512f") else LANES
 """Lanes of the widest vectors that the processor has registers for."""
 FUSE = ("contract", "nsz")
-LINE = 64
-"""Bytes of a line of the cache, at least."""
 
 
 def floats(lanes: int):
@@ -192,14 +187,6 @@ def totals(builder, eight) -> Floats:
                                 builder.shuffle_vector(a, b, ir.Constant(ir.VectorType(number, LANES), odd)))
                    for a, b in zip(vectors[::2], vectors[1::2])]
     return Floats(builder, vectors[0])
-
-
-@inline
-def empty(count):
-    """So many float32 [count], from a line of the cache on: vectors that lie in two lines take twice the time."""
-    whole = np.empty(count + LINE // 4, np.float32)
-    first = -np.intp(whole.ctypes.data) % LINE // 4
-    return whole[first:first + count]
 
 
 @intrinsic
