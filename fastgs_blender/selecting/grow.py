@@ -41,7 +41,7 @@ equally weak joins, the first ones end the thing."""
 BORDER_ALONE, TORN, CLEAN, LARGEST = 0.5, 4e-3, 1e-4, 0.8
 """The border where no stroke says what does not belong to the thing.  Where it cuts such a share of the joins within it, and the weakest
 cut a ten-thousandth of that, the weakest cut counts: a click on a ball means the ball.  Always taken, it would lose parts and take
-neighbours; and where it leaves next to nothing out, it means the room that a capture is joined to."""
+neighbours; and where it leaves next to nothing out, it means the room that a capture is joined to.  If there is nothing else, it is all."""
 FALL = 0.1
 """Difference of the potential across a join that halves its weight."""
 MANY = 20_000
@@ -86,7 +86,8 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     thing, may = y > borders[best], y > borders[0]
     if not against:
         torn = weight[alone[i] != alone[j]].sum() / degree[alone].sum()
-        return thing if torn > TORN and ratio[best] < CLEAN * torn and thing.mean() < LARGEST else alone
+        whole = thing.all() or thing.mean() < LARGEST
+        return thing if whole and torn > TORN and ratio[best] < CLEAN * torn else alone
     thing = spanned(found, yes, thing, may, other < 0.5)
     return continued(found, positions_at(model, 0.5), thing, may)
 
