@@ -99,7 +99,7 @@ def write_frames(path: Path, extension: str, frames: Iterable[tuple[float | None
     for time, model in frames:
         model = with_axes(model, "RFU")
         shown = dict(pieces(model.parts, len(model)))
-        for name in shown.keys() - prims.keys():
+        for name in [name for name in shown if name not in prims]:
             prims[name] = stage.DefinePrim(_path(pxr, name, prims), KIND)
             for earlier in times:
                 _put(pxr, prims[name], model.take([]), pxr.Usd.TimeCode(earlier))
