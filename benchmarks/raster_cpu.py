@@ -3,8 +3,8 @@
 
     python benchmarks/raster_cpu.py [--gaussians 300000] [--size 1352x1014] [--runs 9] [--json FILE]
 
-* rasterise stage      ours beside hand-written AVX2 intrinsics (raster_limit.cpp, if g++ is at hand) on identical input; the two run
-                       in turn.  On a busy machine the ratio of the fastest runs says more, with FASTGS_THREADS=1
+* beside hand-written  our rasterise stage, and our whole frame, beside AVX2 intrinsics (raster_limit.cpp, if g++ is at hand) on
+  AVX2                 identical splats; they run in turn.  On a busy machine the fastest runs say more, with FASTGS_THREADS=1
 * whole frame          from a 4D model (Fourier L = 5, temporal opacity, rotation, features with decoder) to the image,
                        and from the same frame sliced beforehand into a static model
 * peak memory          of a process that loads 1 M Gaussians and renders a frame, Python and compiled kernels included; and beyond an
@@ -29,6 +29,8 @@ import numpy as np
 
 ROOT = Path(__file__).resolve().parents[1]
 LIMIT = Path(__file__).with_name("raster_limit.cpp")
+INNER = 3
+"""Calls of each in a turn, of which the fastest counts."""
 sys.path.insert(0, str(ROOT))
 
 from cloud import scene  # noqa: E402
@@ -76,37 +78,52 @@ class Stage:
         threads.run(lambda first, last: kernel(first, last, *rest), threads.ranges(self.columns * self.rows, rasterise.TILES))
 
     def write(self, folder: Path) -> list[str]:
-        """The same splats and lists as files for raster_limit.cpp."""
+        """The same splats and lists as files for raster_limit.cpp.  Rows of Gaussians that are not seen have never been written: zeros."""
         a, b, c = self.geometry[:, 2:].T / SCALE  # the scaled triangle of the inverse covariance, back to conic A, B, C
         conic = np.stack([a * a, a * b, b * b + c * c], 1)
-        splats = np.concatenate([self.geometry[:, :2], conic, np.exp2(self.attributes[:, :1]), self.attributes[:, raster.CHANNEL:]], 1)
+        with np.errstate(all="ignore"):
+            splats = np.concatenate([self.geometry[:, :2], conic, np.exp2(self.attributes[:, :1]), self.attributes[:, raster.CHANNEL:]], 1)
+        splats[np.setdiff1d(np.arange(len(splats)), self.ids)] = 0
         files = [folder / f"{name}.bin" for name in ("splats", "starts", "ids")]
         for file, array in zip(files, (splats.astype(np.float32), self.starts, self.ids)):
             array.tofile(file)
         return [str(file) for file in files]
 
 
-def rasterise_stage(n, width, height, runs) -> dict:
-    """Ours beside raster_limit.cpp on the same splats and the same tile lists."""
-    stage = Stage(*scene(n, width, height), 0.4)
-    result = {"Gaussians": n, "visible": len(stage.order), "tile entries": len(stage.ids), "threads": threads.thread_count()}
-    if not shutil.which("g++"):
-        return result | {"rasterise ms": statistics.median(timed(stage, runs=runs)[0])}
-    with tempfile.TemporaryDirectory() as name:
-        folder = Path(name)
-        program, picture = folder / "limit", folder / "out.bin"
+class Limit:
+    """raster_limit.cpp, compiled here, ready to run on the splats and lists of a stage: hand-written AVX2."""
+
+    def __init__(self, stage: Stage, folder: Path):
+        program, self.picture, self.size = folder / "limit", folder / "out.bin", stage.size
         subprocess.run(["g++", "-O3", "-march=native", "-ffast-math", "-fopenmp", str(LIMIT), "-o", str(program)], check=True)
-        command = [str(program), *stage.write(folder), str(width), str(height), "3", str(picture)]
+        height, width = stage.size
+        self.command = [str(program), *stage.write(folder), str(width), str(height), str(INNER), str(self.picture)]
+
+    def __call__(self) -> float:
+        """Milliseconds of the fastest of INNER runs."""
         env = {**os.environ, "OMP_NUM_THREADS": str(threads.thread_count())}
-        theirs, ours = [], []
-        for _ in range(runs):
-            theirs.append(float(subprocess.run(command, env=env, check=True, capture_output=True, text=True).stdout.split()[0]))
-            ours.append(min(timed(stage, runs=3)[0]))
-        image = np.fromfile(picture, np.float32).reshape(height, width, 4)
-    return result | {"rasterise ms": statistics.median(ours), "limit ms": statistics.median(theirs),
-                     "rasterise / limit, median": statistics.median(a / b for a, b in zip(ours, theirs)),
-                     "rasterise / limit, fastest": min(ours) / min(theirs),
-                     "mean difference of the pictures": float(np.abs(image[..., :3] - stage.out).mean())}
+        return float(subprocess.run(self.command, env=env, check=True, capture_output=True, text=True).stdout.split()[0])
+
+    def image(self) -> np.ndarray:
+        return np.fromfile(self.picture, np.float32).reshape(*self.size, 4)
+
+
+def beside_limit(n, width, height, runs) -> dict:
+    """Our rasterise stage and our whole frame, RGB, beside raster_limit.cpp on the same splats and the same tile lists, in turn."""
+    model, camera = scene(n, width, height)
+    stage = Stage(model, camera, 0.4)
+    ours = [stage, lambda: fg.render(model, camera, 0.4, backend="cpu")]
+    found = {"Gaussians": n, "visible": len(stage.order), "tile entries": len(stage.ids), "threads": threads.thread_count()}
+    if not shutil.which("g++"):
+        return found | {"rasterise ms": statistics.median(timed(stage, runs=runs)[0])}
+    with tempfile.TemporaryDirectory() as folder:
+        limit = Limit(stage, Path(folder))
+        rows = np.array([[limit(), *(min(times) for times in timed(*ours, runs=INNER))] for _ in range(runs)])
+        difference = float(np.abs(limit.image()[..., :3] - stage.out).mean())
+    for name, times in zip(("rasterise", "frame"), rows.T[1:]):
+        found |= {f"{name} ms": float(np.median(times)), f"{name} / limit, median": float(np.median(times / rows[:, 0])),
+                  f"{name} / limit, fastest": float(times.min() / rows[:, 0].min())}
+    return found | {"limit ms": float(np.median(rows[:, 0])), "mean difference of the pictures": difference}
 
 
 def whole_frame(n, width, height, runs, appearance) -> dict:
@@ -178,7 +195,7 @@ def main():
     args = parser.parse_args()
     width, height = (int(v) for v in args.size.split("x"))
     sections = {
-        "rasterise stage": lambda: rasterise_stage(args.gaussians, width, height, args.runs),
+        "beside hand-written AVX2": lambda: beside_limit(args.gaussians, width, height, args.runs),
         "whole frame, RGB": lambda: whole_frame(args.gaussians, width, height, args.runs, "rgb"),
         "whole frame, features + decoder": lambda: whole_frame(args.gaussians, width, height, args.runs, "features"),
         "peak memory, 1 M Gaussians": lambda: peak_memory(1_000_000, width, height, "rgb"),

@@ -7,13 +7,17 @@ that the user may write to (cache.py).
 from __future__ import annotations
 
 import contextlib
+import ctypes
 import functools
 import threading
 from pathlib import Path
 
 import numba
 from llvmlite import binding
+from numba import _dynfunc  # type: ignore[attr-defined]  # an extension module
 from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
+from numba.core.codegen import JITCodeLibrary
+from numba.core.compiler import Compiler
 from numba.core.runtime import nrt
 
 from ...util.remarks import remark
@@ -75,7 +79,34 @@ def kernel(function):
     return compiled
 
 
-inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never", forceinline=True)
+class Part(JITCodeLibrary):
+    """LLVM's code of a function that becomes part of its callers.  Alone it never becomes machine code, which would take as long."""
+
+    def _finalize_final_module(self):
+        self._finalize_dynamic_globals()
+        self._finalized = True
+
+
+REFUSE = ctypes.cast(ctypes.pythonapi.PyErr_BadArgument, ctypes.c_void_p).value
+"""Where Python finds what raises a TypeError."""
+
+
+class Inlining(Compiler):
+    """numba's compiler, for functions that become part of their callers.  Python cannot call them: that raises a TypeError."""
+
+    def compile_extra(self, func):
+        """As numba's, without machine code."""
+        state, name = self.state, func.__name__
+        state.library = Part(state.targetctx.codegen(), name)
+        state.flags.no_compile = state.flags.no_cpython_wrapper = state.flags.no_cfunc_wrapper = True
+        result = super().compile_extra(func)
+        entry = _dynfunc.make_function(result.fndesc.lookup_module(), name, "", REFUSE, result.environment, (result.library,))
+        state.targetctx.insert_user_function(entry, result.fndesc, [result.library])
+        return result._replace(entry_point=entry)
+
+
+inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundscheck=False, inline="never", forceinline=True,
+                    pipeline_class=Inlining)
 """Decorator of the small functions that kernels call; they always become part of them, whatever LLVM thinks of their size."""
 
 

@@ -9,6 +9,7 @@ import sys
 import pytest
 
 from fastgs_blender.kernels.cpu import cache, warm
+from fastgs_blender.kernels.cpu.jit import inline, kernel
 
 
 @pytest.mark.slow
@@ -81,3 +82,13 @@ print(twice(1), sum(added.stats.cache_hits.values()), sum(twice.stats.cache_hits
     assert run("one.py") == ["2", "1", "False"], "code is loaded without its bitcode"
     assert run("two.py")[0] == "5", "and is compiled into another function all the same"
     assert run("two.py") == ["5", "0", "1"], "which is kept as well"
+
+
+def test_a_function_that_becomes_part_of_kernels_has_no_machine_code_and_refuses_python():
+    half = inline(lambda x: x / 2)
+    quarter = kernel(lambda x: half(half(x)))
+    assert quarter(8.0) == 2
+    with pytest.raises(TypeError):
+        half(8.0)
+    (result,) = half.overloads.values()
+    assert not result.library._codegen._engine.is_symbol_defined(result.fndesc.llvm_func_name)
