@@ -28,7 +28,7 @@ class FASTGS_OT_sync_cameras(Stepwise, bpy.types.Operator):
     def steps(self, context):
         self._path = installation.capture_path(self.capture or context.scene.fastgs.training.capture)
         running = sync.Sync(installation.python(), self._path)
-        return watched(running, lambda: (running.line, 0.0))
+        return watched(running, lambda: running.progress)
 
     def finish(self, context, values):
         name = keep_text(context, f"Clocks of {Path(self._path).name}", sync.text_of(self._path, values))

@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 
 from ..captures import open_capture
 from ..util.errors import FastGSError
+from ..util.progress import staged
 from .report import CheckReport, Section
 from .samples import Inspection, sample
 
@@ -32,16 +33,7 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
     """
     capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
     report = progress or (lambda *_: None)
-
-    reached = 0.0
-
-    def at(stage: str, share: float) -> None:
-        nonlocal reached
-        low, high = WEIGHTS[stage]
-        reached = max(reached, low + (high - low) * min(share, 1.0))  # clocks may be compared in two ways, one after the other
-        report(stage, reached)
-
-    inspection = Inspection(capture, at)
+    inspection = Inspection(capture, staged(WEIGHTS, report))
     sample(inspection)
     sections = {}
     for name in CHECKS:

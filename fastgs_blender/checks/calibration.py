@@ -93,7 +93,8 @@ def _unknown_places(section: Section, inspection: Inspection) -> None:
     ways = ("Photograph the place from between the cameras for COLMAP, or film a calibration board: "
             f"{page('captures')}, three ways to poses.")
     try:
-        cameras, _, frame = calibrated(inspection.capture, FrameStore(inspection.capture))
+        cameras, _, frame = calibrated(inspection.capture, FrameStore(inspection.capture),
+                                       lambda done, of: inspection.progress("comparing pictures", done / of))
     except FastGSError as error:
         section.add("wrong", f"It does not say where its cameras are, and training would stop without a model: {error}", ways)
         return

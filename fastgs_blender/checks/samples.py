@@ -77,6 +77,14 @@ class Inspection:
         return judged(self.matches, self.views)
 
     @property
+    def misplaced(self) -> list[str]:
+        """The cameras whose pose is surely wrong; none where nobody can tell."""
+        try:
+            return self.judged.wrong if self.capture.posed else []
+        except FastGSError:  # without pycolmap
+            return []
+
+    @property
     def thumbnails(self) -> dict[str, np.ndarray]:
         """A small picture [h, w, 3] uint8 of each camera."""
         return {view: thumbnail(samples[len(samples) // 2].rgb) for view, samples in self.samples.items()}

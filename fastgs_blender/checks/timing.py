@@ -1,8 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Checks synchronisation: whether frames of the same number show the same moment in all cameras."""
-from contextlib import suppress
-from dataclasses import replace
-
 from ..captures.clocks.curves import activity, moving
 from ..captures.clocks.find import LEAST, Found, find_offsets
 from ..captures.evidence import differs
@@ -26,16 +23,13 @@ def run(inspection: Inspection) -> Section:
         section.summary = f"{count} frames of {len(capture.views)} cameras are too few to compare their clocks."
         return section
     try:
-        found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: inspection.progress("comparing clocks", done / max(of, 1)))
+        found = find_offsets(capture.middle(FRAMES), progress=lambda done, of: inspection.progress("comparing clocks", done / max(of, 1)),
+                             misplaced=inspection.misplaced)
     except FastGSError as error:
         reason = str(error).partition(": ")[2] or str(error)
         section.add("note", f"The cameras' clocks could not be compared: {reason}", "If something fast moves in the clip, try fastgs sync "
                     "on that part of it; else look at two cameras side by side.")
         return section
-    if found.curves is None and found.clocks.found_by == "motion":  # compared by poses, which must be right
-        with suppress(FastGSError):  # without pycolmap
-            misplaced = [view for view in inspection.judged.wrong if view not in found.lost]
-            found = replace(found, lost=(*found.lost, *misplaced))
     _judge(section, found)
     if found.curves is not None:
         lines = {found.curves.views[k]: activity(found.curves.change[k]) for k in moving(found.curves)}

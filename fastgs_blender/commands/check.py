@@ -9,19 +9,9 @@ settings?  How much disk, memory and time will training need?
 something should be put right before training.
 """
 import argparse
-import json
-import time
-from collections.abc import Callable
 from pathlib import Path
 
-from ..util.errors import FastGSError
-from ..util.progress import Progress, progress
-from .shared import PROBLEMS, print_json, say, say_table, use_threads
-
-STEPS = 1000
-"""Parts of the whole that progress counts."""
-EVERY = 0.3
-"""Seconds between two writings of the file that --status names."""
+from .shared import PROBLEMS, add_status, print_json, say, say_table, stages, use_threads
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -31,7 +21,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to look at, frames counted from 0 (default: all)")
     parser.add_argument("--held-out", metavar="NAME,NAME", help="views that will not be trained on (default: the layout's)")
-    parser.add_argument("--status", metavar="FILE", help="a file that tells other programs how far the check is, as JSON")
+    add_status(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
@@ -44,8 +34,7 @@ def run(args: argparse.Namespace) -> int:
     place = Path(args.capture).resolve()
     name = place.stem if place.is_file() else place.name or "capture"  # a card's root has no name
     out = Path(args.out) if args.out else place.parent / f"{name}-check"
-    with progress(STEPS, "step", "checking", quiet=args.quiet) as bar:
-        tell = _teller(args.status, bar)
+    with stages("checking", args) as tell:
         report = check(args.capture, scale=args.scale, frames=frames_slice(args.frames), held_out=held_out, layout=args.layout,
                        progress=tell)
     paths = page.write(report, out)
@@ -55,21 +44,3 @@ def run(args: argparse.Namespace) -> int:
         say_table(f"{report.text()}\n")
         say(f"The page with pictures: {paths[0]}")
     return PROBLEMS if report.bad else 0
-
-
-def _teller(status: str | None, bar: Progress) -> Callable[[str, float], None]:
-    """A function of (stage, share) that moves the bar and, from time to time, writes the status file."""
-    last = [-EVERY]
-
-    def tell(stage: str, share: float) -> None:
-        bar.note(stage)
-        bar.to(int(STEPS * share))
-        now = time.monotonic()
-        if status and now - last[0] >= EVERY:
-            last[0] = now
-            try:
-                Path(status).write_text(json.dumps({"stage": stage, "share": round(share, 4)}), "utf-8")
-            except OSError as error:
-                raise FastGSError(f"{status}: progress cannot be written there ({error.strerror}); choose another file.") from error
-
-    return tell

@@ -5,13 +5,16 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from collections.abc import Iterable
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from ..jobs.job import read_status
 from ..training.run.files import MODEL, RUN, STATUS
 from ..util.errors import FastGSError
+from ..util.progress import progress
 from ..util.remarks import remark
 from ..util.screen import tell
 
@@ -22,6 +25,8 @@ if TYPE_CHECKING:
 PROBLEMS, FAILED = 1, 2
 """Exit codes: something is wrong with what was looked at; the command failed.  0: all is well; util/stopping.py has that
 of what was stopped."""
+STEPS, EVERY = 1000, 0.3
+"""Parts of the whole that stages() counts, and seconds between two writings of its file."""
 OWN = "own"
 """The background that a model's decoder shows; a model without one shows black."""
 NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
@@ -31,6 +36,33 @@ def add_device(parser: argparse.ArgumentParser) -> None:
     """--device; its default is $FASTGS_DEVICE, or auto."""
     parser.add_argument("--device", metavar="NAME", help="cpu, gpu, a part of a GPU's name, or auto, the default.  auto is a GPU that was "
                         "faster than the processor in its self-test, and otherwise the processor.  fastgs info --devices lists them")
+
+
+def add_status(parser: argparse.ArgumentParser) -> None:
+    """--status, which stages() writes."""
+    parser.add_argument("--status", metavar="FILE", help="a file that tells other programs how far this is, as JSON")
+
+
+@contextmanager
+def stages(what: str, args: argparse.Namespace) -> Iterator[Callable[[str, float], None]]:
+    """A function of (stage, share of the whole) that shows how far a command of several stages is, and writes it into --status' file."""
+    last = -EVERY
+    with progress(STEPS, "step", what, quiet=args.quiet) as bar:
+
+        def tell(stage: str, share: float) -> None:
+            nonlocal last
+            bar.note(stage)
+            bar.to(int(STEPS * share))
+            now = time.monotonic()
+            if args.status and now - last >= EVERY:
+                last = now
+                try:
+                    Path(args.status).write_text(json.dumps({"stage": stage, "share": round(share, 4)}), "utf-8")
+                except OSError as error:
+                    raise FastGSError(f"{args.status}: progress cannot be written there ({error.strerror}); choose another "
+                                      "file.") from error
+
+        yield tell
 
 
 def add_backend(parser: argparse.ArgumentParser) -> None:

@@ -11,11 +11,17 @@ them.  The picture sync.png shows how much changes from picture to picture in ea
 """
 import argparse
 from dataclasses import replace
+from itertools import pairwise
 
 from ..util.errors import FastGSError
-from ..util.progress import estimated, progress
+from ..util.progress import estimated, staged
 from ..util.screen import screen
-from .shared import note, print_json, say_table, use_threads
+from .shared import add_status, note, print_json, say_table, stages, use_threads
+
+WEIGHTS = {"reading pictures": (0.0, 0.06), "comparing pictures": (0.06, 0.12), "comparing clocks": (0.12, 0.25),
+           **dict(zip(("reading small pictures", "comparing them", "finding starting points", "training on them"),
+                      pairwise((0.25, 0.3, 0.35, 0.55, 0.95)))), "drawing the curves": (0.95, 1.0)}
+"""Begin and end of the stages as shares of the whole."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -25,6 +31,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--quick", action="store_true", help="leave out the short training that refines the offsets")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to compare, frames counted from 0 (default: all)")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
+    add_status(parser)
     parser.add_argument("--threads", type=int, metavar="N", help="processor threads to use (default: all)")
 
 
@@ -35,6 +42,9 @@ def run(args: argparse.Namespace) -> None:
     from ..captures.clocks.find import find_offsets
     from ..captures.clocks.plot import write_plot
     from ..captures.pixels.checks import check
+    from ..checks.samples import Inspection, sample
+    from ..training.core.costs import estimate
+    from ..training.run.clocks import GAUSSIANS, SIDE, STEPS, refined
     from .train import frames_slice
 
     use_threads(args.threads)
@@ -48,9 +58,18 @@ def run(args: argparse.Namespace) -> None:
         note(f"{text}.")
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
-    with progress(len(capture), "picture", "comparing", quiet=args.quiet) as bar:
+    seconds = estimate(SIDE * SIDE, STEPS, GAUSSIANS)[0] if refine else 0.0
+    with estimated("refining the clocks", seconds, note), stages("syncing", args) as tell:
+        at = staged(WEIGHTS, tell)
+        inspection = Inspection(capture, at)
+        if capture.posed:
+            sample(inspection)
+        misplaced = inspection.misplaced
+        if misplaced:
+            note(f"the pose of {', '.join(misplaced)} is wrong, as other cameras put what is seen there elsewhere: no clock is found by "
+                 "it. Calibrate again, then run fastgs sync once more; fastgs check tells how far it is off.")
         try:
-            found = find_offsets(capture, args.by, bar.to)
+            found = find_offsets(capture, args.by, lambda done, of: at("comparing clocks", done / max(of, 1)), misplaced)
             offsets = {view: first.get(view, 0.0) + offset for view, offset in found.clocks.offsets.items()}
             clocks, shown, lost = replace(found.clocks, offsets=offsets), found.curves, found.lost
         except FastGSError as error:
@@ -59,36 +78,26 @@ def run(args: argparse.Namespace) -> None:
             note(f"{error} The training begins with equal clocks.")
             clocks, shown = files.Clocks(dict.fromkeys(capture.views, 0.0) | dict(first), {}, "training"), None
             lost = tuple(capture.views)
-    if refine:
-        from ..training.core.costs import estimate
-        from ..training.run.clocks import GAUSSIANS, SIDE, STEPS, refined
-
-        with (estimated("refining", estimate(SIDE * SIDE, STEPS, GAUSSIANS)[0], note),
-              progress(STEPS, "step", "refining", quiet=args.quiet) as bar):
-
-            def starting(done: int, of: int) -> None:
-                bar.note(f"finding starting points, {done} of {of}")
-                bar.to(0)
-
-            def stepped(done: int, of: int) -> None:
-                bar.note("")
-                bar.to(done, of)
-
-            clocks, lost = refined(args.capture, clocks, lost, args.layout, frames=part, progress=stepped, starting=starting)
-        if len(lost) == len(capture.views):
-            raise FastGSError(f"{capture.path}: unsure, as no two of its cameras see enough of the same movement for their clocks to be "
-                              "compared. Nothing was written. Film something that moves fast before all of them, or clap or flash a lamp.")
+        if refine:
+            clocks, lost = refined(args.capture, clocks, lost, args.layout, frames=part, misplaced=misplaced, progress=at)
+            if len(lost) == len(capture.views):
+                raise FastGSError(f"{capture.path}: unsure, as no two of its cameras see enough of the same movement for their clocks to "
+                                  "be compared. Nothing was written. Film something that moves fast before all of them, or clap or flash "
+                                  "a lamp.")
+        shown = shown or curves(capture, lambda done, of: at("drawing the curves", done / max(of, 1)))
     path = files.write_clocks(capture.path, clocks)
     picture = path.with_suffix(".png")
-    write_plot(picture, curves(capture) if shown is None else shown, {view: o - first.get(view, 0.0) for view, o in clocks.offsets.items()})
+    write_plot(picture, shown, {view: o - first.get(view, 0.0) for view, o in clocks.offsets.items()})
     if args.json:
         print_json({"file": str(path), "picture": str(picture), "found_by": clocks.found_by, "offsets": dict(clocks.offsets),
-                    "uncertainty": dict(clocks.uncertainty), "lost": list(lost)})
+                    "uncertainty": dict(clocks.uncertainty), "lost": list(lost), "misplaced": misplaced})
         return
     fps = capture.clip.fps
     rows = []
     for view, offset in clocks.offsets.items():
         spread = clocks.uncertainty.get(view)
-        sure = "unsure" if view in lost else "" if spread is None else f"+- {spread:.2f}"
+        sure = "" if spread is None else f"+- {spread:.2f}"
+        if view in lost:
+            sure = "its pose is wrong" if view in misplaced else "unsure"
         rows.append((view, f"{offset:+.2f} frames, {1000 * offset / fps:+.0f} ms  {sure}".rstrip()))
     say_table(screen([*rows, ("found by", clocks.found_by), ("written", str(path)), ("picture", str(picture))], True))

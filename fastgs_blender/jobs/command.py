@@ -8,8 +8,11 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 
 from ..util.errors import FastGSError
+from ..util.reading import read_json
 from . import causes
 from .environment import end, environment, hidden
+
+LARGEST_STATUS = 1 << 16
 
 
 def command_line(python: str, arguments: Sequence[str], lock: str = "", stop: str = "") -> list[str]:
@@ -85,3 +88,25 @@ class Command(Watched):
             self.values = values
         elif not self._stopped:
             self.trouble = causes.sentence(None, "".join(lines), code, self._about, self._what)
+
+
+class StagedCommand(Command):
+    """A command of several stages, which writes how far it is into the file that its --status names."""
+
+    def __init__(self, python: str, arguments: Sequence[str], what: str, about: str, good: Container[int] = (0,)) -> None:
+        self._folder = tempfile.TemporaryDirectory(prefix="fastgs-")
+        self._status = Path(self._folder.name) / "status.json"
+        super().__init__(python, [*arguments, "--status", str(self._status)], what, about, good)
+
+    @property
+    def progress(self) -> tuple[str, float]:
+        """What it is doing, and the share of the whole that is done, 0..1."""
+        try:
+            values = read_json(self._status, LARGEST_STATUS)
+            return str(values["stage"]), min(max(float(values["share"]), 0.0), 1.0)
+        except (FastGSError, LookupError, TypeError, ValueError, OverflowError):  # not written yet, or just now
+            return "starting", 0.0
+
+    def _run(self) -> None:
+        super()._run()
+        self._folder.cleanup()

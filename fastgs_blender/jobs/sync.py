@@ -1,13 +1,13 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """`fastgs sync` in a process of the training Python, and its result as texts.  No bpy here."""
-from .command import Command
+from .command import StagedCommand
 
 
-class Sync(Command):
+class Sync(StagedCommand):
     """The comparison of the clocks of a capture's cameras."""
 
     def __init__(self, python: str, capture: str) -> None:
-        super().__init__(python, ["sync", capture], "comparing the clocks", capture)
+        super().__init__(python, ["sync", capture, "--quiet"], "comparing the clocks", capture)
 
 
 def text_of(capture: str, values: dict) -> str:
@@ -15,7 +15,9 @@ def text_of(capture: str, values: dict) -> str:
     lines = [f"Clocks of {capture}, in frames, found by {values['found_by']}", ""]
     spread = values["uncertainty"]
     for view, offset in values["offsets"].items():
-        sure = "unsure" if view in values["lost"] else f"+- {spread[view]:.2f}" if view in spread else ""
+        sure = f"+- {spread[view]:.2f}" if view in spread else ""
+        if view in values["lost"]:
+            sure = "its pose is wrong" if view in values["misplaced"] else "unsure"
         lines.append(f"{view:24} {offset:+8.2f}  {sure}".rstrip())
     return "\n".join([*lines, "", f"Written to {values['file']}, with which training uses them.", f"The picture is {values['picture']}."])
 

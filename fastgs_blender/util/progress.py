@@ -3,15 +3,16 @@
 from __future__ import annotations
 
 import sys
+import threading
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from typing import Any
+from typing import Any, ClassVar
 
 from .screen import tell
 
-SECONDS = 20.0
-"""Seconds between two plain lines."""
+SOON, SECONDS = 3.0, 20.0
+"""Seconds until the first plain line, and between two of them."""
 LONG = 60.0
 """Seconds of work that is announced."""
 
@@ -51,34 +52,53 @@ class Progress:
 
 
 class Lines(Progress):
-    """A line on standard error every SECONDS, and at the end: no escapes, no carriage returns."""
+    """A line on standard error SOON after the beginning, then every SECONDS, and at the end: no escapes, no carriage returns.
+
+    A thread writes it where no piece ends for so long.  Of several that are open, only the one that was opened last does so.
+    """
+
+    opened: ClassVar[list[Lines]] = []
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
         self.begun = self.since = self.shown = self.clock()
         self.first = self.last = self.n
-        self.going = False
+        self.told = self.going = False
+        self.closed, self.lock = threading.Event(), threading.Lock()
+        self.opened.append(self)
+        threading.Thread(target=self._watch, name="FAST-GS progress", daemon=True).start()
 
     def to(self, done: int, total: int | None = None) -> None:
         super().to(done, total)
-        now = self.clock()
         if not self.going:  # what comes before the first piece says nothing of how long pieces take
-            self.going, self.since, self.first = done > self.first, now, max(done, self.first)
-        if now - self.shown >= SECONDS:
-            self._show()
+            self.going, self.since, self.first = done > self.first, self.clock(), max(done, self.first)
+        self._show_if_due()
 
     def close(self) -> None:
-        if self.last != self.n:
-            self._show()
+        if not self.closed.is_set():
+            self.closed.set()
+            self.opened.remove(self)
+            if self.last != self.n:
+                self._show()
+
+    def _watch(self) -> None:
+        while not self.closed.wait(1.0):
+            if self.opened[-1:] == [self]:
+                self._show_if_due()
+
+    def _show_if_due(self) -> None:
+        with self.lock:
+            if self.clock() - self.shown >= (SECONDS if self.told else SOON):
+                self._show()
 
     def _show(self) -> None:
-        self.shown, self.last = self.clock(), self.n
+        self.shown, self.last, self.told = self.clock(), self.n, True
         spent = self.shown - self.begun
         rate = self.rate() if self.rate else (self.n - self.first) / max(self.shown - self.since, 1e-9)
         left = f", {clock_text((self.total - self.n) / rate)} left" if rate > 0 and self.n < self.total else ""
         note = f", {self.text}" if self.text else ""
-        share = f"{100 * self.n // max(self.total, 1)} %"
-        self.say(f"{self.what}: {self.n}/{self.total} {self.unit}s ({share}), {clock_text(spent)} so far{left}{note}")
+        pieces = f"{self.n}/{self.total} {self.unit}s ({100 * self.n // max(self.total, 1)} %), " if self.n else ""
+        self.say(f"{self.what}: {pieces}{clock_text(spent)} so far{left}{note}")
 
 
 class Bar(Progress):
@@ -145,3 +165,19 @@ def clock_text(seconds: float) -> str:
     minutes, rest = divmod(int(min(seconds, 1e9) + 0.5), 60)
     hours, minutes = divmod(minutes, 60)
     return f"{hours}:{minutes:02d}:{rest:02d}" if hours else f"{minutes}:{rest:02d}"
+
+
+def staged(weights: Mapping[str, tuple[float, float]], report: Callable[[str, float], None]) -> Callable[[str, float], None]:
+    """A function of (stage, share of it) that calls report(stage, share of the whole), which never falls.
+
+    weights  begin and end of each stage as shares of the whole
+    """
+    reached = 0.0
+
+    def at(stage: str, share: float) -> None:
+        nonlocal reached
+        low, high = weights[stage]
+        reached = max(reached, low + (high - low) * min(share, 1.0))
+        report(stage, reached)
+
+    return at

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Finds the clock offsets of a capture's cameras from their sound, a flash, or the motion in their pictures."""
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -51,12 +51,14 @@ class Found:
     measured: Mapping[str, float]
 
 
-def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None) -> Found:
+def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, int], None] | None = None,
+                 misplaced: Collection[str] = ()) -> Found:
     """The offsets of a capture against those that it was opened with; of one without any, open_capture(path, offsets={}), its offsets.
 
     way       "auto", "sound", "flash" or "motion"; auto: sound where all cameras have some and it is clear; else motion where poses are
               known and enough moves; else a flash; else motion
     progress  called as progress(done, of) while pictures are looked at
+    misplaced  views whose poses are wrong: they are not compared by poses, and have no clock then
     Returns `clocks`, whose median offset is 0; `lost`, the names of views whose clock is unsure, with the offset 0; `curves` of what moves,
     None where they were not needed.  `fastgs sync` refines these offsets by a short training.
     Raises FastGSError, with the reason, where nothing can be found.
@@ -77,9 +79,10 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
         if way == "sound":
             raise FastGSError(f"{capture.path}: " + ("its cameras have no sound in common" if found is None else
                               f"the sound of {', '.join(found.lost)} fits no other camera's") + "; find the offsets with --by motion.")
-    by_planes = by_epipolar_planes(capture, progress) if way in ("auto", "motion") else None
+    placed = replace(capture, shots=[shot for shot in capture.shots if shot.view not in misplaced])
+    by_planes = by_epipolar_planes(placed, progress) if way in ("auto", "motion") else None
     if by_planes is not None and 2 * len(by_planes.lost) < len(capture.views):
-        return by_planes
+        return replace(by_planes, lost=(*by_planes.lost, *misplaced))
     shown = curves(capture, progress)
     flash = flashes(shown) if way in ("auto", "flash") else None
     if flash is not None:

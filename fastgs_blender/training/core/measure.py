@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Measures a model on shots of its capture, quickly: for previews and the report of a run (evaluation/ has all measures)."""
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from typing import Any
 
 import numpy as np
@@ -15,11 +15,12 @@ from .targets import cover_of, use_of_mask
 
 
 def measure(model: Source, capture: Capture, store: Any, settings: Settings, shots: Iterable[Shot], backend: str = "cpu",
-            fit_colours: bool = False, pictures: list | None = None) -> tuple[float, float | None]:
+            fit_colours: bool = False, pictures: list | None = None,
+            progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[float, float | None]:
     """(mean PSNR of shots, that of their foreground where masks show it or None), over black.
 
     fit_colours  colours of each half of a picture are fitted on its other half (evaluation/halves.py)
-    pictures     gets (picture, truth) of each
+    pictures     gets (picture, truth) of each;  progress(done, of) is called after each, of those that the capture holds out
     """
     whole, part = [], []
     for shot in shots:
@@ -34,5 +35,6 @@ def measure(model: Source, capture: Capture, store: Any, settings: Settings, sho
             part.append(psnr(picture, truth, pixels.mask))
         if pictures is not None:
             pictures.append((picture, truth))
+        progress(len(whole), len(capture.held_out))
     part = [value for value in part if np.isfinite(value)]
     return float(np.mean(whole)), float(np.mean(part)) if part else None

@@ -8,6 +8,7 @@ import json
 import tempfile
 from collections.abc import Callable, Sequence
 from dataclasses import asdict
+from itertools import count
 from pathlib import Path
 
 import numpy as np
@@ -27,11 +28,14 @@ from .features import MOST_FEATURES, PEAK, pycolmap_module
 
 TRIES = 3
 """Frames that are tried until one shows where all cameras are."""
+PARTS = 4
+"""Of the work on one frame: pictures, features, matches, the mapper."""
 LEAST_VIEWS = 2
 FILE = "poses.json"
 
 
-def with_poses(capture: Capture, store: FrameStore, out: str | Path, say: Callable[[str], None] = print) -> Capture:
+def with_poses(capture: Capture, store: FrameStore, out: str | Path, say: Callable[[str], None] = print,
+               progress: Callable[[int, int], None] = lambda done, of: None) -> Capture:
     """The capture with a camera for each view; `store` gives its pictures, `out` is the run's folder, which keeps the poses.
 
     Returns the capture itself where it has poses.  Raises FastGSError where the mapper finds none.
@@ -42,19 +46,24 @@ def with_poses(capture: Capture, store: FrameStore, out: str | Path, say: Callab
     known = kept(path, capture) if path.exists() else None
     if known:
         return with_cameras(capture, *known)
-    cameras, lenses, frame = calibrated(capture, store)
+    cameras, lenses, frame = calibrated(capture, store, progress)
     say(f"poses: {len(cameras)} of {len(capture.views)} cameras found by pycolmap from frame {frame}")
     path.parent.mkdir(parents=True, exist_ok=True)
     keep(path, capture, cameras, lenses)
     return with_cameras(capture, cameras, lenses)
 
 
-def calibrated(capture: Capture, store: FrameStore) -> tuple[dict[str, Camera], dict[str, Lens], int]:
-    """Camera and lens of each view that the mapper can place, and the frame that showed it; the world's y axis points down."""
+def calibrated(capture: Capture, store: FrameStore,
+               progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[dict[str, Camera], dict[str, Lens], int]:
+    """Camera and lens of each view that the mapper can place, and the frame that showed it; the world's y axis points down.
+
+    progress(done, of) is called before each part of a try: pictures, features, matches and the mapper.
+    """
+    parts, of = count(), PARTS * TRIES
     frames = sorted({shot.frame for shot in capture.shots})
     best: tuple[dict, dict, int] = ({}, {}, frames[0])
     for frame in dict.fromkeys([frames[0], frames[len(frames) // 2], frames[-1]][:TRIES]):
-        cameras, lenses = mapped(capture.at_frame(frame), store)
+        cameras, lenses = mapped(capture.at_frame(frame), store, lambda: progress(next(parts), of))
         if len(cameras) > len(best[0]):
             best = cameras, lenses, frame
         if len(cameras) == len(capture.views):
@@ -65,8 +74,10 @@ def calibrated(capture: Capture, store: FrameStore) -> tuple[dict[str, Camera], 
     return best
 
 
-def mapped(shots: Sequence[Shot], store: FrameStore) -> tuple[dict[str, Camera], dict[str, Lens]]:
-    """COLMAP's incremental mapper on the pictures of some shots: cameras and lenses by view, of its largest model."""
+def mapped(shots: Sequence[Shot], store: FrameStore,
+           tick: Callable[[], None] = lambda: None) -> tuple[dict[str, Camera], dict[str, Lens]]:
+    """COLMAP's incremental mapper on the pictures of some shots: cameras and lenses by view, of its largest model; tick() is called
+    before each of PARTS."""
     from PIL import Image
 
     pycolmap = pycolmap_module()
@@ -85,14 +96,18 @@ def mapped(shots: Sequence[Shot], store: FrameStore) -> tuple[dict[str, Camera],
         pictures.mkdir()
         names = {f"{k:04}.png": shot.view for k, shot in enumerate(shots)}
         sizes = set()
+        tick()
         for name, shot in zip(names, shots):
             rgb = store.pixels(shot).rgb
             sizes.add(rgb.shape)
             Image.fromarray(np.uint8(np.clip(rgb, 0, 1) * 255 + 0.5)).save(pictures / name)
         mode = pycolmap.CameraMode.SINGLE if len(sizes) == 1 else pycolmap.CameraMode.PER_IMAGE
+        tick()
         pycolmap.extract_features(database, pictures, camera_mode=mode, reader_options=reader, extraction_options=extraction,
                                   device=pycolmap.Device.cpu)
+        tick()
         pycolmap.match_exhaustive(database, matching_options=matching, device=pycolmap.Device.cpu)
+        tick()
         models = pycolmap.incremental_mapping(database, pictures, Path(folder, "models"), options).values()
         if not models:
             return {}, {}

@@ -27,7 +27,6 @@ from . import starting_points
 from .dense import spread
 from .first_model import depth_of, model_from_points
 from .geometry import project, sample, visible
-from .start import expected_clocks
 
 SAMPLES = 9
 """Times of a segment at which its Gaussians are looked at."""
@@ -136,7 +135,7 @@ def start_after(before: GaussianModel, earlier: Capture, at: float, capture: Cap
     arrays = {name: np.concatenate([model.arrays[name] for model in models]) for name in before.arrays}
     first = replace(before, **arrays, clip=capture.clip)
     say(f"beginning with the segment before: {frozen.sum()} Gaussians are held, {len(models[1])} go on, {len(timed)} are new")
-    return Start(first, None, depth_of(found, capture), clocks=expected_clocks(capture, store, settings, say), frozen=int(frozen.sum()))
+    return Start(first, None, depth_of(found, capture), frozen=int(frozen.sum()))
 
 
 def _going_on(model: GaussianModel, at: float, settings: Settings, rests: np.ndarray) -> GaussianModel:

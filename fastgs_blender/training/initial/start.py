@@ -23,7 +23,6 @@ def start(capture: Capture, store: Any, settings: Settings, say: Callable[[str],
 
     Raises FastGSError where what the settings ask for gives nothing.
     """
-    clocks = expected_clocks(capture, store, settings, say)
     store, fades = _steady(capture, store, settings, say)
     model = warm_start.starting_model(capture, settings, say)
     found, store = starting_points.initial_points(capture, store, settings, say, progress) if model is None else \
@@ -34,7 +33,7 @@ def start(capture: Capture, store: Any, settings: Settings, say: Callable[[str],
         _tell_unsure(capture, settings, gains, say)
         behind = starting_points.thinned(behind, settings.max_gaussians, settings.seed)
         first = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
-        return Start(first, behind.size, depth_of(behind, capture), gains, fades, clocks)
+        return Start(first, behind.size, depth_of(behind, capture), gains, fades)
     first, sizes = warm_start.begun_with(model, capture, store, settings), None
     say(f"starting with {len(first)} of the {len(model)} Gaussians of a model that is known")
     behind = behind.take(slice(len(found), None))
@@ -42,10 +41,11 @@ def start(capture: Capture, store: Any, settings: Settings, say: Callable[[str],
         sizes = np.concatenate([np.full(len(first), np.nan, np.float32), behind.size])
         second = model_from_points(behind, settings, capture.clip, capture.axes, capture.extent)
         first = replace(first, **{name: np.concatenate([array, second.arrays[name]]) for name, array in first.arrays.items()})
-    return Start(first, sizes, depth_of(found, capture), None, fades, clocks, warm=True)
+    return Start(first, sizes, depth_of(found, capture), None, fades, warm=True)
 
 
-def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print) -> np.ndarray | None:
+def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Callable[[str], None] = print,
+                    progress: Callable[[int, int], None] | None = None) -> np.ndarray | None:
     """The clock offsets of the views trained on against the times of their shots, and their standard deviations [V, 2] in frames, as pairs
     of cameras show them (captures.clocks); a deviation of 0: unsure.  None where nothing can be compared, or nobody asks."""
     views = capture.training_views
@@ -55,7 +55,7 @@ def expected_clocks(capture: Capture, store: Any, settings: Settings, say: Calla
     def pictures(shots: Sequence[Shot], small: Camera) -> Iterator[tuple[Shot, np.ndarray]]:
         return ((shot, store.pixels(shot).rgb) for shot in shots)
 
-    found = by_epipolar_planes(replace(capture, shots=capture.films), pictures=pictures)
+    found = by_epipolar_planes(replace(capture, shots=capture.films), progress, pictures)
     if found is None:
         return None
     known = set(found.measured) - set(found.lost)

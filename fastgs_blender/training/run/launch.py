@@ -71,7 +71,6 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     from ...util.progress import estimated
     from ..core.processes import joined
     from ..core.settings import settings
-    from ..initial.calibrate import with_poses
     from . import follower, session
     from .folder import release
     from .plan import begin, suited
@@ -94,7 +93,6 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             backend, about = choose_device(device)  # last: the first time a GPU is tested, which takes a moment
             if about:
                 note(about)
-            capture = with_poses(capture, FrameStore(capture, session.MEMORY), out, note)
             backend = "cpu" if backend == "auto" else backend
             with estimated("training", _seconds(capture, plan.settings) if backend == "cpu" and not resume else 0.0, note):
                 return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,

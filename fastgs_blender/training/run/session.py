@@ -31,9 +31,10 @@ from ..core.processes import Processes
 from ..core.spans import Span, spans
 from ..core.state import LONGEST, is_number
 from ..core.trainer import Trainer
+from ..initial.calibrate import with_poses
 from ..initial.continued import freeze_still, start_after
 from ..initial.refine import refinement
-from ..initial.start import start
+from ..initial.start import expected_clocks, start
 from ..initial.visual_hull import hull_of
 from . import checkpoint, written
 from . import plan as plans
@@ -101,6 +102,10 @@ class _Session:
         reporter, settings = self.reporter, self.plan.settings
         reporter.status("preparing")
         begun = (self.out / CHECKPOINT).exists() or any((self.out / SEGMENTS).glob("*/*"))
+        if not capture.posed:
+            with reporter.stage("finding the cameras", "part") as report:
+                capture = with_poses(capture, store, self.out, reporter.say, report)
+            store = store.of(capture)
         with reporter.stage("refining cameras", "picture") as report:
             self.cameras = refinement(capture, store, settings, self.out / REFINED, begun, reporter.say, report)["cameras"]
         given, capture = capture, refined(capture, self.cameras)
@@ -160,13 +165,15 @@ class _Session:
         settings, found, span = self.plan.settings.of_segment(number), checkpoint.load(folder), cuts[number]
         began, decoder = None, self._finished(0) if number else None
         if found is None:
+            with self.reporter.stage("comparing clocks", "picture") as report:
+                clocks = expected_clocks(capture, store, settings, self.reporter.say, report)
             with self.reporter.stage("finding starting points") as report:
                 if earlier is not None and settings.segment_steps:
                     at = (span.first - cuts[number - 1].first) / cuts[number - 1].count
                     began = start_after(self._finished(number - 1), earlier, at, capture, store, settings, self.reporter.say, report)
                 else:
                     began = start(capture, store, settings, self.reporter.say, report)
-            began = replace(began, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
+            began = replace(began, clocks=clocks, unsure={view: change.get("unsure", 0.0) for view, change in (self.cameras or {}).items()})
         trainer = Trainer(capture, store, settings, began, decoder=decoder, backend=backend, processes=self.processes,
                           hull=hull_of(capture, store, self.reporter.say))
         if found is not None:
@@ -210,8 +217,9 @@ class _Session:
             reporter.warn(text)
         if capture.held_out:
             shown = model if isinstance(model, GaussianModel) else formats.open_source(out / MODEL)
-            psnr, foreground = measure(shown, capture, store, settings, self._held_out(capture, store, cuts),
-                                       fit_colours="exposures" in found)
+            with reporter.stage("measuring the held-out views", "picture") as measured:
+                psnr, foreground = measure(shown, capture, store, settings, self._held_out(capture, store, cuts),
+                                           fit_colours="exposures" in found, progress=measured)
             report |= {"held_out_views": capture.held_out_views, "held_out_psnr": psnr, "held_out_foreground_psnr": foreground}
         checkpoint.write_json(out / REPORT, report)
         reporter.status("finished", iteration=reporter.iterations, **{k: v for k, v in report.items() if k == "held_out_psnr"})

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+from collections import Counter
 from functools import partial
 
 import numpy as np
@@ -11,10 +12,12 @@ from PIL import Image
 from uneven_captures import write_uneven
 
 from fastgs_blender.captures import open_capture
-from fastgs_blender.captures.clocks.files import FILE, read_clocks
+from fastgs_blender.captures.clocks.files import FILE, Clocks, read_clocks
 from fastgs_blender.checks import timing
+from fastgs_blender.checks.reprojection import Judged
 from fastgs_blender.checks.samples import Inspection
 from fastgs_blender.cli import main
+from fastgs_blender.commands import sync
 from fastgs_blender.training.run import clocks
 from fastgs_blender.util.errors import FastGSError
 
@@ -41,19 +44,19 @@ def test_quick(shifted, capsys):
 
 @pytest.mark.slow
 def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypatch, capsys):
-    seen, began = [], []
+    seen = []
 
     def few(path, first, lost=(), layout=None, **_):
-        return refined(path, first, lost, layout, 240, progress=lambda done, of: seen.append((done, of)),
-                       starting=lambda done, of: began.append((done, of)))
+        return refined(path, first, lost, layout, 240, progress=lambda *told: seen.append(told))
 
     refined = clocks.refined
     monkeypatch.setattr(clocks, "refined", few)
     assert main(["sync", str(shifted), "--quiet", "--json"]) == 0
     values = json.loads(capsys.readouterr().out)
     assert values["found_by"] == "training" and values["offsets"].keys() == {"cam00", "cam01", "cam02", "cam03"}
-    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (240, 240)
-    assert len(began) > 1, "finding starting points takes the longer part"
+    assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (clocks.STAGES[-1], 1)
+    assert min(Counter(stage for stage, _ in seen).values()) > 1, "each of the stages tells how far it is"
+    assert set(clocks.STAGES) == {stage for stage, _ in seen} and set(clocks.STAGES) < set(sync.WEIGHTS)
     assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
 
 
@@ -74,6 +77,25 @@ def test_what_cannot_be_found_is_told(tmp_path, capsys):
     folder = write_uneven(tmp_path / "still", 14, 3, speed=0.0)
     assert main(["sync", str(folder), "--quiet"]) == 2
     assert "nothing moves" in capsys.readouterr().err and not (folder / FILE).exists()
+
+
+def test_a_camera_with_a_wrong_pose_has_no_clock(shifted, monkeypatch, tmp_path, capsys):
+    """Planes through wrong poses say nothing: neither its clock nor those of others are found by it. --status tells the stages."""
+    monkeypatch.setattr(Inspection, "judged", Judged({}, ["cam02"]))
+    status = tmp_path / "status.json"
+    assert main(["sync", str(shifted), "--quick", "--json", "--status", str(status)]) == 0
+    told = capsys.readouterr()
+    values = json.loads(told.out)
+    assert values["lost"] == values["misplaced"] == ["cam02"] and not any(values["offsets"].values())
+    assert "cam02" in told.err and "pose" in told.err and "alibrate" in told.err
+    assert json.loads(status.read_text("utf-8"))["stage"] in sync.WEIGHTS
+
+
+@pytest.mark.slow
+def test_a_camera_with_a_wrong_pose_is_not_trained_on(shifted, monkeypatch):
+    monkeypatch.setattr(clocks, "start", lambda capture, *_: pytest.fail(str(capture.views)))
+    with pytest.raises(pytest.fail.Exception, match=r"\['cam00', 'cam01', 'cam03'\]"):
+        clocks.refined(shifted, Clocks({"cam01": 0.5}, {}, "sound"), misplaced=["cam02"])
 
 
 def test_a_part_of_the_clip(shifted, monkeypatch, capsys):

@@ -72,8 +72,9 @@ def test_plain_lines_where_nobody_looks(tmp_path, clock, capsys):
             assert said == ["fastgs: a problem"]
             continue
         assert said[:2] == ["fastgs: a remark", "fastgs: a problem"]
-        assert said[2] == "training: 7/100 steps (7 %), 0:21 so far, 4:39 left, loss 0.1000, 20.0 dB, 5 Gaussians"
-        assert len(said) == 2 + 4 + 1 and said[-1].startswith("training: 30/100 steps (30 %), 1:30 so far, 3:30 left")
+        assert said[2].startswith("training: 1/100 steps (1 %), 0:03 so far"), "soon, and then every 20 seconds"
+        assert said[3] == "training: 8/100 steps (8 %), 0:24 so far, 4:36 left, loss 0.1000, 20.0 dB, 5 Gaussians"
+        assert len(said) == 2 + 1 + 4 + 1 and said[-1].startswith("training: 30/100 steps (30 %), 1:30 so far, 3:30 left")
 
 
 def test_what_comes_before_the_first_step_shows_how_far_it_is(tmp_path, clock, capsys):
@@ -91,7 +92,7 @@ def test_what_comes_before_the_first_step_shows_how_far_it_is(tmp_path, clock, c
     assert written == [0, 0.25, 0.5, 0.625, 0.75, 0.875, 1, None]
     assert _preparing(read_status(tmp_path / progress.STATUS)) == "Starting", "and not that all of it is done, while kernels compile"
     said = capsys.readouterr().err.splitlines()
-    assert said[0].startswith("finding starting points: 6/8 moments (75 %)") and said[-1].startswith("finding starting points: 8/8 moments")
+    assert said[0].startswith("finding starting points: 5/8 moments (62 %)") and said[-1].startswith("finding starting points: 8/8 moments")
     reporter.step({"iteration": 1, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
     assert "stage" not in read_status(tmp_path / progress.STATUS) and _preparing({}) == "Preparing the pictures"
     reporter.close()

@@ -2,8 +2,11 @@
 """Work of minutes is announced, and measured against what was said."""
 from __future__ import annotations
 
+import time
+
 import pytest
 
+from fastgs_blender.util import progress
 from fastgs_blender.util.progress import Lines, estimated
 
 
@@ -21,6 +24,22 @@ def test_short_and_interrupted_work_says_nothing_afterwards():
     with pytest.raises(KeyboardInterrupt), estimated("training", 90.0, said.append):
         raise KeyboardInterrupt
     assert len(said) == 1
+
+
+def test_work_without_pieces_says_what_it_is(capsys, monkeypatch):
+    """Such as compiling: a line comes though nobody reports anything, and of nested work the inner one's alone."""
+    monkeypatch.setattr(progress, "SOON", 0.5)
+    with progress.progress(9, "step", "training"), progress.progress(1, "picture", "comparing clocks"):
+        time.sleep(1.4)
+    assert capsys.readouterr().err.splitlines() == ["comparing clocks: 0:01 so far"]
+
+
+def test_stages_are_shares_of_the_whole_that_never_fall():
+    told = []
+    at = progress.staged({"reading": (0.0, 0.4), "comparing": (0.4, 1.0)}, lambda *values: told.append(values))
+    for stage, share in (("reading", 0.5), ("comparing", 0.5), ("reading", 1.0), ("comparing", 2.0)):
+        at(stage, share)
+    assert told == [("reading", 0.2), ("comparing", 0.7), ("reading", 0.7), ("comparing", 1.0)]
 
 
 def test_what_comes_before_the_first_piece_is_not_counted_in_the_time_left(capsys):
