@@ -191,6 +191,7 @@ def _copied(world, name: str, width: int):
         own = surface.links[0].from_socket if surface.is_linked else None
         mix = b.first('ShaderNodeMixShader', (cover,) if own is None else (cover, own))
         tree.links.new(b.first('ShaderNodeAddShader', (mix, light)), surface)
+    b.arrange()
     return made
 
 

@@ -3,6 +3,7 @@
 from functools import cached_property
 
 import bpy
+import numpy as np
 
 SPACING = 180, 260
 """Distance of the nodes in the editor, in x and in y; so many columns make a row."""
@@ -21,7 +22,7 @@ class Builder:
     """Adds nodes to a tree.  A value is an output socket, or a constant for an input's default."""
 
     def __init__(self, tree: bpy.types.NodeTree):
-        self.tree, self._count = tree, 0
+        self.tree, self._made = tree, []
         self._math = MATH[tree.bl_idname == 'CompositorNodeTree' and bpy.app.version < (5, 0, 0)]
 
     @cached_property
@@ -32,8 +33,7 @@ class Builder:
     def node(self, kind: str, inputs: dict | tuple = (), **settings) -> bpy.types.Node:
         """A node with these settings and inputs, by name or in their order."""
         node = self.tree.nodes.new(kind)
-        node.location = SPACING[0] * (self._count % COLUMNS), -SPACING[1] * (self._count // COLUMNS)
-        self._count += 1
+        self._made.append(node)
         for name, value in settings.items():
             setattr(node, name, value)
         for key, value in inputs.items() if isinstance(inputs, dict) else enumerate(inputs):
@@ -42,7 +42,18 @@ class Builder:
                 self.tree.links.new(value, target)
             else:
                 target.default_value = value
+        if not node.outputs:
+            self.arrange()
         return node
+
+    def arrange(self) -> None:
+        """Put the nodes side by side, as a node without outputs does.  All at once: where one is moved, Blender updates the whole tree."""
+        places = np.zeros((len(self.tree.nodes), 2), np.float32)
+        self.tree.nodes.foreach_get("location", places.reshape(-1))
+        ours = [number for number, node in enumerate(self.tree.nodes) if node in self._made]
+        steps = np.arange(len(ours))
+        places[ours] = np.stack([steps % COLUMNS, -(steps // COLUMNS)], 1) * SPACING
+        self.tree.nodes.foreach_set("location", places.reshape(-1))
 
     def first(self, kind: str, inputs: dict | tuple = (), **settings) -> bpy.types.NodeSocket:
         """The first output in use of a new node."""

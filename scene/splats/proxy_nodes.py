@@ -96,18 +96,18 @@ def _build(tree):
 
 
 def _palette() -> list[bpy.types.Material]:
+    """The materials of the palette, by number: those that this .blend has, and copies of one new material, which are made quickly."""
     levels = np.linspace(0, 1, LEVELS)
-    return [_material(number, [levels[number // LEVELS**power % LEVELS] for power in (2, 1, 0)]) for number in range(LEVELS**3)]
-
-
-def _material(number: int, srgb) -> bpy.types.Material:
-    name = f".{NAME} {number:02}"  # Blender's menus do not list what begins with a dot
-    material = _own(bpy.data.materials, name)
-    if material is not None:
-        return material
-    material = shining_material(name)
-    material.diffuse_color = (*Color(srgb).from_srgb_to_scene_linear(), 1)
-    return material
+    first, palette = None, []
+    for number in range(LEVELS**3):
+        name = f".{NAME} {number:02}"  # Blender's menus do not list what begins with a dot
+        material = _own(bpy.data.materials, name)
+        if material is None:
+            first = material = first.copy() if first else shining_material(name)
+            srgb = Color([levels[number // LEVELS**power % LEVELS] for power in (2, 1, 0)])
+            material.name, material.diffuse_color = name, (*srgb.from_srgb_to_scene_linear(), 1)
+        palette.append(material)
+    return palette
 
 
 def shining_material(name: str) -> bpy.types.Material:
