@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Grow to the Thing on scenes whose truth is known, a lasso among 300 000 Gaussians, and redraws with a selection.
+"""Grow to the Thing on scenes whose truth is known, tools among 300 000 Gaussians, and redraws with a selection.
 
     python benchmarks/selecting.py [--count 20000] [--scene walker] [--speed]
     python benchmarks/selecting.py --many [--count 6000] [--scene gears]
@@ -8,8 +8,8 @@
 A stroke over the thing and one over what is not it are drawn on one frame of one view; the masks of what is found and of the truth are
 compared in views and on frames without strokes.  --many takes the scenes of touching_many.py instead, three pairs of strokes for each
 wanted thing, and compares by the light of Gaussians; all of them take minutes.  --run takes a model that was trained on a capture of
-make_capture.py, and --things what the names of the thing's objects begin with.  Then the second stroke is drawn beside the thing.  Redraws
-need Blender's bpy and an EGL driver.
+make_capture.py, and --things what the names of the thing's objects begin with.  Then the second stroke is drawn beside the thing.  Tools
+need Blender's bpy, redraws an EGL driver as well.
 """
 from __future__ import annotations
 
@@ -34,7 +34,7 @@ import fastgs_blender as fg  # noqa: E402
 from fastgs_blender.selecting.grow import grow  # noqa: E402
 from fastgs_blender.selecting.joins import joins  # noqa: E402
 from fastgs_blender.selecting.light import Light  # noqa: E402
-from fastgs_blender.selecting.shapes import Lasso, Stroke, seen_under, touched, under  # noqa: E402
+from fastgs_blender.selecting.shapes import Stroke, touched  # noqa: E402
 
 
 def main():
@@ -45,7 +45,7 @@ def main():
     parser.add_argument("--run", type=Path)
     parser.add_argument("--capture", type=Path)
     parser.add_argument("--things", nargs="+", default=[])
-    parser.add_argument("--speed", action="store_true", help="only the lasso and the redraws")
+    parser.add_argument("--speed", action="store_true", help="only the tools and the redraws")
     options = parser.parse_args()
     if options.capture:
         filmed(options.capture, fg.load(options.run), tuple(options.things))
@@ -65,7 +65,7 @@ def main():
             overlaps = scenes.overlaps(model, found, scene)
             print(f"{name:14} {'two strokes' if against else 'one stroke ':11}  IoU {np.mean(overlaps):.3f}, least {np.min(overlaps):.3f}"
                   f"   {len(model)} Gaussians, joins {seconds[0]:.2f} s, growing {seconds[1]:.2f} s of processor", flush=True)
-    lasso()
+    tools()
     redraws()
 
 
@@ -188,29 +188,47 @@ def timed(model, scene, against):
     return (middle - start, time.process_time() - middle), found
 
 
-def lasso(count: int = 300_000):
-    """Prints the seconds of processor of a lasso around a quarter of a picture of the example with `count` Gaussians,"""
-    example = fg.load(ROOT / "examples" / "fireside.safetensors")
-    model = example.take(np.arange(count) % len(example))
-    camera = fg.Camera(1280, 720, 1100, 1100, 640, 360, fg.look_at(np.array([0.9, -2.7, 1.6]), (0.0, 0.1, 1.0)))
-    angles = np.linspace(0, 2 * np.pi, 200)
-    line = Lasso(tuple((640 + 360 * np.cos(a), 360 + 200 * np.sin(a)) for a in angles))
-    seen, took, lights = fg.Instance(model, np.eye(4), 0.4).viewed(camera), {}, []
+def tools(count: int = 300_000):
+    """Prints the seconds of processor of each tool in Blender among `count` Gaussians of the example, with its step of undo.
 
-    def visible():
-        seen_under([seen], camera, line, lights[-1])
+    The lasso goes around a quarter of the picture.  Of what is seen, the first tool in a view also makes its light.
+    """
+    import viewport
 
-    def first():
-        lights.append(Light([seen], camera))
-        visible()
+    viewport.load_extension()
+    import bpy
 
-    for _ in range(6):
-        for name, work in (("through", lambda: under(seen, camera, line)), ("visible, the first in a view", first), ("visible", visible)):
-            start = time.process_time()
-            work()
-            took.setdefault(name, []).append(time.process_time() - start)
+    own, shapes, selection = (viewport.module(name) for name in ("fastgs_blender", "fastgs_blender.selecting.shapes", "scene.selection"))
+    with tempfile.TemporaryDirectory() as folder:
+        example = own.load(ROOT / "examples" / "fireside.safetensors")
+        path = Path(folder) / "many.safetensors"
+        own.save(example.take(np.arange(count) % len(example)), path)
+        bpy.ops.import_scene.fastgs(filepath=str(path))
+        obj, pose = bpy.context.object, fg.look_at(np.array([0.9, -2.7, 1.6]), (0.0, 0.1, 1.0))
+        camera = own.Camera(1280, 720, 1100, 1100, 640, 360, pose)
+
+        def use(shape, through=False, again=True):
+            if not again:
+                selection.Sight.forget()
+            sight = selection.Sight(bpy.context.evaluated_depsgraph_get(), camera)
+            found = sight.under(obj, shape, through)
+            meant = sight.touched(obj, shape) if isinstance(shape, shapes.Stroke) and not through else None
+            if not selection.drawn(obj, found, 'SET', meant):
+                raise RuntimeError("the tool has changed nothing.")
+            bpy.ops.ed.undo_push(message="Select Gaussians")
+
+        angles, took = np.linspace(0, 2 * np.pi, 200), {}
+        for x in range(640, 664, 3):  # each time something else is selected
+            lasso = shapes.Lasso(tuple((x + 360 * np.cos(a), 360 + 200 * np.sin(a)) for a in angles))
+            stroke = shapes.Stroke(tuple((float(x + step), 360.0) for step in range(-120, 121, 4)), 40.0)
+            for name, given in {"a lasso, through": (lasso, True), "a lasso, the first in a view": (lasso, False, False),
+                                "a stroke": (stroke,), "a lasso": (lasso,), "a stroke, through": (stroke, True),
+                                "a click, before it grows": (shapes.Stroke(((x, 360.0),) * 2, 6.0),)}.items():
+                start = time.process_time()
+                use(*given)
+                took.setdefault(name, []).append(time.process_time() - start)
     for name, seconds in took.items():
-        print(f"lasso among {count}, {name}: {np.median(seconds[1:]):.3f} s of processor", flush=True)
+        print(f"{name} among {count}: {np.median(seconds[1:]):.3f} s of processor, at least {np.min(seconds):.3f}", flush=True)
 
 
 def redraws(count: int = 300_000, frames: int = 5):

@@ -23,7 +23,6 @@ from .training.options import FASTGS_PG_training
 
 _OWN = {'LIBRARY_OVERRIDABLE'}
 _SHOWN = {"override": _OWN, "update": updates.shown}
-_PICKED = {"override": _OWN, "update": updates.picked}
 
 BACKDROP = (
     ('INSIDE', "From Inside", "Show the backdrop to cameras and views that stand inside it", 0),
@@ -183,13 +182,13 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     mask: StringProperty(
         name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
     selection: StringProperty(
-        name="Selection", description="Which Gaussians are selected, packed", options={'HIDDEN'}, **_PICKED)
+        name="Selection", description="Which Gaussians are selected, packed", options={'HIDDEN'}, override=_OWN)
     wanted: StringProperty(
         name="Wanted", description="Which Gaussians were drawn over to be selected, packed: where Grow begins",
-        options={'HIDDEN'}, **_PICKED)
+        options={'HIDDEN'}, override=_OWN)
     refused: StringProperty(
         name="Refused", description="Which Gaussians were drawn over to be taken out of the selection, packed: where Grow ends",
-        options={'HIDDEN'}, **_PICKED)
+        options={'HIDDEN'}, override=_OWN)
     viewport_density: FloatProperty(
         name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
         min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)

@@ -14,10 +14,10 @@ from ..fastgs_blender.rendering.filters import hidden
 from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from ..fastgs_blender.selecting.light import Light
 from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, seen_under, touched, under
-from . import objects, parts, snapshot
+from . import objects, parts, snapshot, updates
 
-STROKES = {"wanted", "refused"}
-"""Masks of what was drawn over: Grow to the Thing begins with them, and other ways to select forget them."""
+PICKED = "selection", "wanted", "refused"
+"""Masks of what is selected and of what was drawn over: Grow to the Thing begins with these, and other ways to select forget them."""
 
 
 def bits(obj, name: str) -> np.ndarray:
@@ -29,17 +29,21 @@ def bits(obj, name: str) -> np.ndarray:
 def put(obj, **masks: np.ndarray) -> None:
     """Give an object masks [N] bool, by their names."""
     objects.watch(objects.abspath(obj))
-    for name, mask in masks.items():
-        text = pack_mask(mask)
-        if text != getattr(obj.fastgs, name):
-            setattr(obj.fastgs, name, text)
+    _set(obj, {name: pack_mask(mask) for name, mask in masks.items()})
 
 
 def clear(obj) -> None:
     """Select nothing of an object, and forget the strokes."""
-    for name in {"selection", *STROKES}:
-        if getattr(obj.fastgs, name):
-            setattr(obj.fastgs, name, "")
+    _set(obj, dict.fromkeys(PICKED, ""))
+
+
+def _set(obj, texts: dict[str, str]) -> None:
+    """Set packed masks of an object that are others than it has."""
+    for name, text in texts.items():
+        if text != getattr(obj.fastgs, name):
+            setattr(obj.fastgs, name, text)
+            if name in PICKED:
+                updates.picked(obj)
 
 
 def own(obj) -> np.ndarray:
@@ -61,14 +65,14 @@ def drawn(obj, found: np.ndarray, how: str, meant: np.ndarray | None = None) -> 
     meant  [N] what Grow to the Thing takes for the stroke; None: the same
     """
     meant = found if meant is None else meant
-    before = tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
+    before = tuple(getattr(obj.fastgs, name) for name in PICKED)
     if how == 'SET':
         put(obj, selection=found, wanted=meant, refused=np.zeros_like(found))
     elif how == 'ADD':
         put(obj, selection=bits(obj, "selection") | found, wanted=bits(obj, "wanted") | meant, refused=bits(obj, "refused") & ~meant)
     else:
         put(obj, selection=bits(obj, "selection") & ~found, wanted=bits(obj, "wanted") & ~meant, refused=bits(obj, "refused") | meant)
-    return before != tuple(getattr(obj.fastgs, name) for name in ("selection", "wanted", "refused"))
+    return before != tuple(getattr(obj.fastgs, name) for name in PICKED)
 
 
 def select(obj, found: np.ndarray, how: str = 'SET') -> int:
@@ -86,7 +90,7 @@ def erase(obj, found: np.ndarray, hide: bool = True) -> int:
     after = before | found if hide else before & ~found
     count = int(np.count_nonzero(after != before))
     if count:
-        put(obj, mask=after, **{name: bits(obj, name) & ~after for name in ("selection", *STROKES) if getattr(obj.fastgs, name)})
+        put(obj, mask=after, **{name: bits(obj, name) & ~after for name in PICKED if getattr(obj.fastgs, name)})
     return count
 
 

@@ -24,10 +24,13 @@ def shown(group, context):
     viewports(group, context)
 
 
-def picked(group, context):
-    """Update callback of what is selected: viewports alone show it, and the object's mesh need not be evaluated."""
-    group.id_data.update_tag(refresh={'OBJECT'})
-    viewports(group, context)
+def picked(obj):
+    """What is selected of an object has changed: viewports alone show it.
+
+    The properties have no update callback: for one that has, Blender evaluates the object's mesh, and all points of it.
+    """
+    obj.update_tag(refresh={'OBJECT'})
+    viewports(obj.fastgs, None)
 
 
 def meshes(group, context):

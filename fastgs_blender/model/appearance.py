@@ -217,7 +217,7 @@ def features_at(appearance: Appearance, features: np.ndarray, t: float, mu_tau: 
         return features
     width = appearance.look.width
     coefficients = features[:, width:].reshape(len(features), appearance.basis.terms, width)
-    return features[:, :width] + appearance.basis.evaluate(coefficients, t, mu_tau)[0]
+    return features[:, :width] + appearance.basis.value(coefficients, t, mu_tau)
 
 
 def sh_basis(direction: np.ndarray, degree: int) -> np.ndarray:

@@ -55,15 +55,18 @@ class Basis:
         """The highest frequency that the basis holds, in cycles per unit of t (0: no such limit)."""
         return 0.0
 
-    def evaluate(self, coefficients: np.ndarray, t: float, mu_tau: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-        """Sum of the weighted coefficients and its derivative by t.
+    def value(self, coefficients: np.ndarray, t: float, mu_tau: np.ndarray) -> np.ndarray:
+        """Sum of the weighted coefficients [N, K, D] at t, a number, for mu_tau [N]: [N, D] float64."""
+        return self._sum(self.weights, coefficients, t, mu_tau)
 
-        coefficients [N, K, D], t a number, mu_tau [N]; returns two arrays [N, D] float64.
-        """
-        c = np.asarray(coefficients, np.float64)
+    def rate(self, coefficients: np.ndarray, t: float, mu_tau: np.ndarray) -> np.ndarray:
+        """The derivative of value() by t, [N, D] float64."""
+        return self._sum(self.rates, coefficients, t, mu_tau)
+
+    def _sum(self, weigh: Callable[[ArrayLike], np.ndarray], coefficients: np.ndarray, t: float, mu_tau: np.ndarray) -> np.ndarray:
         time: ArrayLike = t - np.asarray(mu_tau, np.float64) if self.centred else float(t)
         form = "nk,nkd->nd" if self.centred else "k,nkd->nd"
-        return np.einsum(form, self.weights(time), c), np.einsum(form, self.rates(time), c)
+        return np.einsum(form, weigh(time), np.asarray(coefficients, np.float64))
 
     def recentred(self, constant: np.ndarray, coefficients: np.ndarray, delta: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Constant [N, D] and coefficients [N, K, D] of the same motion when mu_tau [N] moves by delta [N]."""

@@ -48,7 +48,7 @@ def state_of(model: GaussianModel, t: float) -> State:
     t = float(np.float32(real(t, "the time of a state")))
     mu_tau = model.mu_tau.astype(np.float64)
     with np.errstate(all="ignore"):
-        moved, velocity = model.basis.evaluate(model.motion, t, mu_tau)
+        moved, velocity = (given(model.motion, t, mu_tau) for given in (model.basis.value, model.basis.rate))
         shown = sigmoid(model.opacity)
         visible = np.log(np.maximum(shown / model.raster.alpha_cut, 1 + 1e-9))
         begin, end = model.temporal_kind.span(visible, mu_tau, model.temporal)

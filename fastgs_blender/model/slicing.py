@@ -52,12 +52,12 @@ def opacities_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np
 
 def positions_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:
     """Positions mu(t) [M, 3] float64 of the Gaussians of an index (paper, eq. 3-4)."""
-    return model.position[index] + model.basis.evaluate(model.motion[index], t, model.mu_tau[index])[0]
+    return model.position[index] + model.basis.value(model.motion[index], t, model.mu_tau[index])
 
 
 def quaternions_at(model: GaussianModel, t: float, index: Any = slice(None)) -> np.ndarray:
     """Quaternions q(t) [M, 4] float64 of the Gaussians of an index, not yet of unit length (paper, eq. 7)."""
-    return model.rotation[index] + model.rotation_basis.evaluate(model.rotation_motion[index], t, model.mu_tau[index])[0]
+    return model.rotation[index] + model.rotation_basis.value(model.rotation_motion[index], t, model.mu_tau[index])
 
 
 def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
@@ -75,18 +75,18 @@ def slice_model(model: GaussianModel, t: float, cull: bool = True) -> Slice:
     sigma = opacities_at(model, t)
     index = np.flatnonzero(sigma >= model.raster.alpha_cut) if cull else np.arange(len(model))
     mu_tau = model.mu_tau[index].astype(np.float64)
-    offset, velocity = model.basis.evaluate(model.motion[index], t, mu_tau)
+    motion = model.motion[index]
     features = features_at(model.appearance, model.features[index], t, mu_tau)
     if isinstance(model.appearance, Features):
         features[:, 6:9] *= (t - mu_tau)[:, None]
     return Slice(
         index=index,
-        position=model.position[index] + offset,
+        position=model.position[index] + model.basis.value(motion, t, mu_tau),
         rotation=rotations.unit(quaternions_at(model, t, index)),
         scale=np.exp(model.scale[index].astype(np.float64)),
         opacity=sigma[index],
         features=features,
-        velocity=velocity,
+        velocity=model.basis.rate(motion, t, mu_tau),
     )
 
 

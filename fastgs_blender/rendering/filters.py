@@ -65,7 +65,7 @@ def _opacity(model: GaussianModel, _: Any) -> np.ndarray:
 def _speed(model: GaussianModel, _: Any) -> np.ndarray:
     total, weight = np.zeros(len(model)), np.zeros(len(model))
     for t, sigma in _moments(model):
-        _, velocity = model.basis.evaluate(model.motion, t, model.mu_tau.astype(np.float64))
+        velocity = model.basis.rate(model.motion, t, model.mu_tau.astype(np.float64))
         total += sigma * np.linalg.norm(velocity, axis=1)
         weight += sigma
     return total / np.maximum(weight, 1e-12) / max(model.clip.duration, 1e-9)

@@ -70,7 +70,7 @@ def joins(model: GaussianModel) -> Joins:
         rows = np.flatnonzero(alive[k])
         if len(rows) < 2:
             continue
-        velocity = model.basis.evaluate(model.motion[rows], times[k], model.mu_tau[rows].astype(np.float64))[1]
+        velocity = model.basis.rate(model.motion[rows], times[k], model.mu_tau[rows])
         index, squared = nearest(np.concatenate([place[k][rows], 0.5 * velocity / TIMES], 1), COUNT, trees=2, leaf=48)
         there = index >= 0
         usual[rows] += np.sqrt(np.where(there, squared, 0)[:, :COUNT // 2]).mean(1)

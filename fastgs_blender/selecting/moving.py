@@ -49,7 +49,7 @@ def strides(model: GaussianModel) -> np.ndarray:
 
     times = (np.arange(TIMES) + 0.5) / TIMES
     seen = np.stack([opacities_at(model, t) for t in times], 1).astype(np.float32)
-    velocity = np.stack([model.basis.evaluate(model.motion, t, model.mu_tau.astype(np.float64))[1] for t in times], 1)
+    velocity = np.stack([model.basis.rate(model.motion, t, model.mu_tau) for t in times], 1)
     carried = np.concatenate([velocity * seen[..., None], seen[..., None]], 2).astype(np.float32)
     for _ in range(ROUNDS):
         carried = gathered(joins(model).ends, carried)

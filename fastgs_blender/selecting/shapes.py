@@ -38,18 +38,30 @@ class Stroke:
     middles: tuple[tuple[float, float], ...]
     radius: float
 
+    @property
+    def low(self) -> np.ndarray:
+        """The least x and y of its pixels."""
+        return np.min(self.middles, 0) - self.radius
+
+    @property
+    def high(self) -> np.ndarray:
+        """Their largest x and y."""
+        return np.max(self.middles, 0) + self.radius
+
     def holds(self, pixel: np.ndarray) -> np.ndarray:
         """Which of the pixels [M, 2] lie under it: [M] bool."""
         pixel, path = np.asarray(pixel, np.float64), np.asarray(self.middles, np.float64)
-        order = _around(pixel, path.min(0) - self.radius, path.max(0) + self.radius)
+        order = _around(pixel, self.low, self.high)
         near = pixel[order]
         inside = np.zeros(len(order), bool)
         for start, end in zip(path, path[1:] if len(path) > 1 else path, strict=False):
-            low, high = sorted((start[1], end[1]))
-            rows = slice(*np.searchsorted(near[:, 1], (low - self.radius, high + self.radius)))
+            low, high = np.minimum(start, end) - self.radius, np.maximum(start, end) + self.radius
+            first, last = np.searchsorted(near[:, 1], (low[1], high[1]))
+            x = near[first:last, 0]
+            rows = first + np.flatnonzero((x >= low[0]) & (x <= high[0]) & ~inside[first:last])
             along, offset = end - start, near[rows] - start
             share = np.clip(offset @ along / max(along @ along, 1e-12), 0, 1)
-            inside[rows] |= ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
+            inside[rows] = ((offset - share[:, None] * along) ** 2).sum(1) <= self.radius**2
         out = np.zeros(len(pixel), bool)
         out[order] = inside
         return out
@@ -64,10 +76,20 @@ class Lasso:
 
     points: tuple[tuple[float, float], ...]
 
+    @property
+    def low(self) -> np.ndarray:
+        """The least x and y of its pixels."""
+        return np.min(self.points, 0)
+
+    @property
+    def high(self) -> np.ndarray:
+        """Their largest x and y."""
+        return np.max(self.points, 0)
+
     def holds(self, pixel: np.ndarray) -> np.ndarray:
         """Which of the pixels [M, 2] lie in it: [M] bool."""
         pixel, corners = np.asarray(pixel, np.float64), np.asarray(self.points, np.float64)
-        order = _around(pixel, corners.min(0), corners.max(0))
+        order = _around(pixel, self.low, self.high)
         x, y = pixel[order].T
         inside = np.zeros(len(order), bool)
         for (x0, y0), (x1, y1) in zip(corners, np.roll(corners, -1, 0), strict=True):
@@ -111,7 +133,7 @@ def seen_surface(instances: list[Instance], camera: Camera, backend: str = "auto
 
 def under(instance: ViewedInstance, camera: Camera, shape: Shape, backend: str = "auto") -> np.ndarray:
     """Which Gaussians the camera shows and whose centres lie in a shape, however deep: [N] bool, of the instance's source."""
-    index = order([instance], camera, backend=backend)
+    index = np.sort(order([instance], _framed(camera, shape), backend=backend))  # in memory's order they are read in half of the time
     return _as_source(instance, index[_holds(instance, camera, shape, index)])
 
 
@@ -143,6 +165,17 @@ def touched(instances: list[ViewedInstance], camera: Camera, shape: Shape, light
         sure = [bits & (lit >= MIDDLE * whole) for bits, lit, whole in zip(found, middle, light.whole, strict=True)]
         found = sure if sum(map(np.count_nonzero, sure)) >= FEW else found
     return [_as_source(instance, np.flatnonzero(bits)) for instance, bits in zip(instances, found, strict=True)]
+
+
+def _framed(camera: Camera, shape: Shape) -> Camera:
+    """The camera of that part of the picture which a shape lies in; of a ball the whole."""
+    if isinstance(shape, Ball):
+        return camera
+    most = camera.width - 1, camera.height - 1
+    low = np.clip(np.floor(shape.low), 0, most)
+    width, height = (int(n) for n in np.clip(np.ceil(shape.high), low + 1, (camera.width, camera.height)) - low)
+    return replace(camera, width=width, height=height, cx=camera.cx - low[0], cy=camera.cy - low[1],
+                   window=(0, 0, width, height))
 
 
 def _around(pixel: np.ndarray, low: np.ndarray, high: np.ndarray) -> np.ndarray:

@@ -95,5 +95,5 @@ def _normals(corners: np.ndarray) -> np.ndarray:
 
 def _axes(turning: Turning, t: float) -> np.ndarray:
     """The Gaussians' axes at a time as the rows of matrices [N, 3, 3]."""
-    turned = turning.basis.evaluate(turning.coefficients, t, np.zeros(len(turning.constant)))[0]
+    turned = turning.basis.value(turning.coefficients, t, np.zeros(len(turning.constant)))
     return rotations.to_matrices(rotations.unit(turning.constant + turned)).transpose(0, 2, 1)[turning.row]

@@ -148,6 +148,11 @@ def rasteriser_backward(channels: int, band: float = 0.0):
             for y in range(max(top, y0), min(top + TILE, bottom)):
                 for x in range(max(left, x0), min(left + TILE, right)):
                     p, i, j = (y - top) * TILE + x - left, y - y0, x - x0
+                    own = grad_alpha[i, j] != 0.0
+                    for c in range(channels):
+                        own |= grad_out[i, j, c] != 0.0
+                    if not own:  # nor do its splats get any
+                        continue
                     state[p] = trace[i, j]
                     final = trace[i, j + right - x0]
                     state[LAST * PIXELS + p] = final

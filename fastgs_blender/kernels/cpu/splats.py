@@ -123,7 +123,7 @@ def _spread_colours(model, t: float, out: dict[str, np.ndarray], detach_time: bo
     weights = np.atleast_2d(basis.weights(t - mu_tau if basis.centred else t))
     if basis.centred and not detach_time:
         coefficients = model.features[:, now.shape[1]:].reshape(len(model), basis.terms, now.shape[1])
-        out["mu_tau"] -= np.einsum("nf,nf->n", now, basis.evaluate(coefficients, t, mu_tau)[1]).astype(np.float32)
+        out["mu_tau"] -= np.einsum("nf,nf->n", now, basis.rate(coefficients, t, mu_tau)).astype(np.float32)
     slopes = (weights[:, :, None] * now[:, None]).reshape(len(model), basis.terms * now.shape[1])  # of no Gaussians, too
     out["features"] = np.concatenate([now, slopes], 1).astype(np.float32)
 

@@ -101,6 +101,20 @@ def test_strokes_and_kinds_select(row, module, stroke, fg):
     assert bpy.ops.fastgs.erase() == {'FINISHED'} and bits("mask") == sorted([*erased, 4, 5]) and not bits()
 
 
+def test_selecting_evaluates_no_mesh(row, module, monkeypatch):
+    """The points that stand for Gaussians do not show what is selected, so that they are left as they are; views are drawn again."""
+    selection, moved, drawn = module("scene.selection"), [], []
+    monkeypatch.setattr(module("scene.splats.proxy_motion"), "_move", lambda *_: moved.append(1))
+    monkeypatch.setattr(module("scene.updates"), "listeners", [lambda: drawn.append(1)])
+    selection.drawn(row, np.arange(10) < 4, 'SET')
+    bpy.context.view_layer.update()
+    assert drawn and not moved
+    assert len(module("scene.snapshot").take(bpy.context.evaluated_depsgraph_get(), rendered=False).tinted().instances) == 2
+    selection.erase(row, np.arange(10) < 1)
+    bpy.context.view_layer.update()
+    assert moved
+
+
 def test_wireframe_shows_what_is_selected_and_nothing_else(row, module):
     selection, snapshot = module("scene.selection"), module("scene.snapshot")
     taken = lambda: snapshot.take(bpy.context.evaluated_depsgraph_get(), rendered=False)  # noqa: E731

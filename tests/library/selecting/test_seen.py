@@ -11,9 +11,12 @@ from hypothesis import strategies as st
 from random_models import random_model
 
 import fastgs_blender as fg
+from fastgs_blender.model.slicing import positions_at
 from fastgs_blender.rendering.instances import Instance, ObjectSettings
+from fastgs_blender.rendering.visibility import order
 from fastgs_blender.selecting.light import Light
-from fastgs_blender.selecting.shapes import Ball, Box, Stroke, seen_under, touched, under
+from fastgs_blender.selecting.shapes import Ball, Box, Lasso, Stroke, seen_under, touched, under
+from fastgs_blender.util.rotations import transformed
 
 CAMERA = fg.Camera(96, 80, 80, 80, 48, 40, np.array([[1.0, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 4], [0, 0, 0, 1]]))
 EVERYWHERE = Box((-1e4, -1e4), (1e4, 1e4))
@@ -71,6 +74,18 @@ def test_faint_haze_is_seen_and_what_lies_behind_it_too():
     for instance, bits in zip(both, found):
         shown = under(instance, CAMERA, EVERYWHERE)
         assert bits.sum() > 0.8 * shown[np.abs(instance.model.position[:, :2]).max(1) < 1.5].sum() > 10
+
+
+@given(st.integers(0, 10**6), st.lists(st.tuples(st.integers(-30, 130), st.integers(-30, 110)), min_size=3, max_size=5),
+       st.sampled_from(("box", "stroke", "lasso")))
+def test_a_shape_takes_the_centres_in_it_of_what_the_camera_shows(seed, points, kind):
+    """However small it is and wherever it lies, beside the picture, too."""
+    low, high = np.min(points, 0), np.max(points, 0)
+    shape = {"box": Box(tuple(low), tuple(high)), "stroke": Stroke(tuple(points), 5.0), "lasso": Lasso(tuple(points))}[kind]
+    seen = Instance(random_model(np.random.default_rng(seed), 60, motion=0.3), np.eye(4), 0.4).viewed(CAMERA)
+    shown = np.isin(np.arange(60), order([seen], CAMERA))
+    centre = CAMERA.pixels(transformed(positions_at(seen.model, 0.4), seen.model_to_camera))
+    assert np.array_equal(under(seen, CAMERA, shape), shown & shape.holds(centre))
 
 
 def test_touched_is_what_gives_its_light_in_the_stroke():
