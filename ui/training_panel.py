@@ -34,7 +34,7 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
     pixels = round(pixels * (settings.scale or 1) ** 2)
     size = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians, pixels * views, pictures // max(views, 1))
-    seconds, memory = costs.estimate(pixels, *size, pictures)
+    seconds, memory = costs.estimate(pixels, *size, pictures, views)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]
     if settings.source == 'SCENE':
         rows.append(("Filming", f"{results.duration(filming)} of it"))

@@ -16,7 +16,8 @@ from ..util.errors import FastGSError
 from .capture import Capture, Options
 from .pixels.probe import picture_size
 from .pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
-from .rigs import Entry, RigCamera, from_entries, from_rig, lone_sentence
+from .rig_camera import RigCamera
+from .rigs import Entry, from_entries, from_rig, lone_sentence
 from .sources import PICTURES, VIDEOS, Source
 from .timestamps import Times
 

@@ -3,6 +3,7 @@
 import math
 import os
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -14,8 +15,11 @@ from ..cameras.lens import pinhole_for
 from ..model.gaussians import Clip
 from ..util.errors import FastGSError, printable
 from .capture import Capture, Options, Points, Shot
+from .film_times import evened
 from .pixels.probe import facts
 from .pixels.sequences import Unreadable
+from .pixels.video import index
+from .rig_camera import RigCamera
 from .sources import Source
 
 MOST_SHOTS = 1_000_000
@@ -31,7 +35,7 @@ LEAST_COMMON = 0.5
 @dataclass(frozen=True, eq=False)
 class Entry:
     """A picture as a layout describes it, before scale, clocks and selection; frame counts from 0, t is None where the layout states no
-    times."""
+    times; late is by how many frames it was taken later than its frame."""
 
     view: str
     frame: int
@@ -39,21 +43,7 @@ class Entry:
     world_to_camera: np.ndarray | None
     mask: Source | None = None
     t: float | None = None
-
-
-@dataclass(frozen=True, eq=False)
-class RigCamera:
-    """A camera that a layout found.
-
-    pictures  one Source per frame, None where it is missing; a rig whose cameras have different numbers of them is unsynchronised
-    pose      world-to-camera [4, 4], or one per frame [F, 4, 4], or None
-    masks     as pictures, or empty
-    """
-
-    name: str
-    pictures: Sequence[Source | None]
-    pose: np.ndarray | None
-    masks: Sequence[Source | None] = ()
+    late: float = 0.0
 
 
 def from_rig(path: Path, layout: str, cameras: Sequence[RigCamera], options: Options, *, faults: Sequence[str] = (),
@@ -63,6 +53,7 @@ def from_rig(path: Path, layout: str, cameras: Sequence[RigCamera], options: Opt
     Films may begin and end at different times: the frames that all of them have are the clip, and a note says so.  A camera that has no
     picture at all shortens nothing.
     """
+    cameras, settings["fps"], uneven = evened(cameras, settings.get("fps", 30.0))
     count = settings.pop("frame_count", None) or _longest(cameras)
     if count < 1 and faults:
         raise FastGSError(faults[0])
@@ -79,13 +70,15 @@ def from_rig(path: Path, layout: str, cameras: Sequence[RigCamera], options: Opt
                 gaps.append((camera.name, frame))
                 continue
             pose = camera.pose if camera.pose is None or np.ndim(camera.pose) == 2 else camera.pose[frame]
-            entries.append(Entry(camera.name, frame, image, pose, camera.masks[frame] if frame < len(camera.masks) else None))
-    notes = [*settings.pop("notes", ()), *remarks]
+            mask, late_by = camera.masks[frame] if frame < len(camera.masks) else None, camera.late[frame] if camera.late else 0.0
+            entries.append(Entry(camera.name, frame, image, pose, mask, late=late_by))
+    notes = [*settings.pop("notes", ()), *uneven, *remarks]
     return from_entries(path, layout, entries, options, frame_count=count, gaps=gaps, notes=notes, faults=[*faults, *apart], **settings)
 
 
 def chosen_frames(cameras: Sequence[RigCamera], options: Options, path: Path) -> Sequence[int]:
     """The frames of a rig that are used, counted from 0: those that the options choose and all films have."""
+    cameras = evened(cameras, 30.0)[0]
     return _shared(cameras, options, _chosen(_longest(cameras), options.frames, path))[0]
 
 
@@ -153,6 +146,7 @@ def from_entries(
         notes.append(f"pictures are used at {scale:.0%} of their size, as in published work; a scale of 1 keeps all their pixels")
     if options.frames is not None and frame_count < (options.frames.stop or 0):
         notes.append(f"the part asked for goes on behind the capture's last frame, {frame_count - 1}, and ends there")
+    notes += _hdr_notes(entries)
     entries, lost = _readable([entry for entry in entries if entry.frame in place])
     gaps = [(view, frame) for view, frame in gaps if frame + _whole(options.offsets.get(printable(view), 0.0)) in place]
     faults = [*faults]
@@ -180,7 +174,7 @@ def from_entries(
             camera = _camera(entry, scale, focal, cameras)
         frame, offset = place[entry.frame], options.offsets.get(entry.view, 0.0)
         t = frame / len(chosen) if t is None else t
-        t += (offset - _whole(offset)) / (step * len(chosen))
+        t += (offset - _whole(offset) + entry.late) / (step * len(chosen))
         shots.append(Shot(entry.view, frame, camera, entry.image, entry.mask, entry.view in kept, t))
     order = {view: i for i, view in enumerate(dict.fromkeys(shot.view for shot in shots))}
     shots.sort(key=lambda shot: (shot.frame, order[shot.view]))
@@ -201,6 +195,18 @@ def _readable(entries: Sequence[Entry]) -> tuple[list[Entry], list[str]]:
         except FastGSError as error:
             damaged.append(str(error).rstrip("."))
     return whole, damaged
+
+
+def _hdr_notes(entries: Sequence[Entry]) -> list[str]:
+    """A remark where films of some cameras are HDR and those of others are not: their colours differ more than exposures do."""
+    wide: dict[bool, list[str]] = {True: [], False: []}
+    for path, view in {entry.image.path: entry.view for entry in entries if entry.image.frame is not None}.items():
+        with suppress(FastGSError):  # told with the frames
+            wide[index(path).wide].append(view)
+    if not all(wide.values()):
+        return []
+    some = ", ".join(wide[True][:6])
+    return [f"the films of {some} are HDR and those of the other cameras are not, so their colours do not fit; export them as SDR"]
 
 
 def _names(gaps: Sequence[tuple[str, int]], most: int = 4) -> list[str]:

@@ -21,7 +21,7 @@ def run(inspection: Inspection) -> Section:
     """Bytes of the cache of decoded pictures against what is free, and the presets' time and memory on this machine's processor."""
     capture = inspection.capture
     section = Section("Disk and time", "Training decodes each picture once, into a cache on disk; times are of this machine's processor, "
-                                       "without a GPU, roughly.")
+                                       "without a GPU, as fast as it is now beside other programs, roughly.")
     size, pixels, moment = 0, 0, 0
     for shots in by_view(capture.shots).values():
         try:
@@ -46,8 +46,11 @@ def run(inspection: Inspection) -> Section:
                     "Use --scale or --frames, or set FASTGS_CACHE_GB to more.", (), ("cache", round(size / 1e9, 2), "GB"))
     memory = checks.available_memory()
     rows = {}
+    inspection.progress("measuring this machine", 0.0)
+    pace, views = costs.measured_pace(), len(inspection.capture.training_views)
     for preset in LENGTHS:
-        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=capture.clip.frame_count), len(capture))
+        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=capture.clip.frame_count),
+                                         len(capture), views, pace)
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "

@@ -43,8 +43,8 @@ def run(args: argparse.Namespace) -> None:
     from ..captures.clocks.plot import write_plot
     from ..captures.pixels.checks import check
     from ..checks.samples import Inspection, sample
-    from ..training.core.costs import estimate
-    from ..training.run.clocks import GAUSSIANS, SIDE, STEPS, refined
+    from ..training.core.costs import estimate, measured_pace
+    from ..training.run.clocks import GAUSSIANS, MOST_FRAMES, SIDE, STEPS, refined
     from .train import frames_slice
 
     use_threads(args.threads)
@@ -58,7 +58,8 @@ def run(args: argparse.Namespace) -> None:
         note(f"{text}.")
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
-    seconds = estimate(SIDE * SIDE, STEPS, GAUSSIANS)[0] if refine else 0.0
+    pictures = len(capture.views) * min(capture.clip.frame_count, MOST_FRAMES)
+    seconds = estimate(SIDE * SIDE, STEPS, GAUSSIANS, pictures, len(capture.views), measured_pace())[0] if refine else 0.0
     with estimated("refining the clocks", seconds, note), stages("syncing", args) as tell:
         at = staged(WEIGHTS, tell)
         inspection = Inspection(capture, at)

@@ -22,7 +22,8 @@ from ...model.points import Points
 from ...util.errors import FastGSError
 from ..capture import Capture, Options
 from ..pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
-from ..rigs import Entry, RigCamera, check_count, from_entries, from_rig
+from ..rig_camera import RigCamera
+from ..rigs import Entry, check_count, from_entries, from_rig
 from ..sources import PICTURES, VIDEOS, Source
 from .prepared import frame_workspaces, model_place, timed
 

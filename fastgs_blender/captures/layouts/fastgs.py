@@ -25,7 +25,8 @@ from ...util.reading import open_file, read_json
 from ..capture import MASKS, Capture, Options
 from ..pixels.sequences import film_of, numbered_pictures, video_frames
 from ..point_files import load_points
-from ..rigs import RigCamera, check_count, from_rig
+from ..rig_camera import RigCamera
+from ..rigs import check_count, from_rig
 from ..sources import COLOURS, VIDEOS, Source
 
 name = "fast-gs capture"

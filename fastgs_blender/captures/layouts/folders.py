@@ -9,7 +9,8 @@ from ...util.errors import FastGSError
 from ..beside import LATER, films
 from ..capture import Capture, Options
 from ..pixels.sequences import films_in, numbered_pictures, videos_in
-from ..rigs import RigCamera, from_rig
+from ..rig_camera import RigCamera
+from ..rigs import from_rig
 from ..sources import PICTURES, Source
 
 name = "folders without poses"

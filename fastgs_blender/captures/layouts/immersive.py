@@ -22,7 +22,8 @@ from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ..capture import Capture, Options
 from ..pixels.sequences import video_frames
-from ..rigs import RigCamera, chosen_frames, from_rig, lone_sentence
+from ..rig_camera import RigCamera
+from ..rigs import chosen_frames, from_rig, lone_sentence
 from ..sources import VIDEOS
 from .prepared import prepared_points
 

@@ -24,7 +24,8 @@ from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
 from ..point_files import load_points
-from ..rigs import RigCamera, chosen_frames, from_rig
+from ..rig_camera import RigCamera
+from ..rigs import chosen_frames, from_rig
 from ..sources import VIDEOS, Source
 from .prepared import prepared_points
 

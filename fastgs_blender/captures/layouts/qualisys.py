@@ -27,7 +27,8 @@ from ..beside import first_source, is_film
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..pixels.sequences import film_of, numbered_pictures, numbered_sources, video_frames
-from ..rigs import RigCamera, from_rig, lone_sentence
+from ..rig_camera import RigCamera
+from ..rigs import from_rig, lone_sentence
 from ..sources import Source, beginning, files_at, only
 
 name = "Qualisys"

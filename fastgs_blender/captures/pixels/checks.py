@@ -5,16 +5,11 @@ from pathlib import Path
 
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot, by_view
-from ..clocks.files import FILE, read_clocks
 from ..rigs import ranges
 from .probe import facts
-from .video import index
 
 MOST = 12
 """Problems that one sentence lists."""
-DRIFT = 1.0
-"""Frames by which videos of different rates may drift apart over the clip where sync.json has their offsets: half before its middle, half
-after it."""
 
 
 def check(capture: Capture) -> None:
@@ -40,7 +35,7 @@ def problems(capture: Capture) -> list[str]:
         found += _view_problems(view, shots, sizes.setdefault(view, Counter()), capture)
     if not capture.posed and len(capture.views) < 2:
         found.append("there is only one camera, and poses cannot be found from one")
-    return found + _synchronisation(capture)
+    return found
 
 
 def _view_problems(view: str, shots: list[Shot], sizes: Counter, capture: Capture) -> list[str]:
@@ -69,49 +64,6 @@ def _view_problems(view: str, shots: list[Shot], sizes: Counter, capture: Captur
         bare = [shot.frame + start for shot in shots if shot.mask is None]
         found.append(f"{view} has masks for some of its frames only, not for {ranges(bare)}")
     return found
-
-
-def _synchronisation(capture: Capture) -> list[str]:
-    """Videos of one rig whose rates differ or that are not evenly spaced do not belong together frame by frame.
-
-    That is no problem where the layout states the time of each frame; and rates may differ a little where sync.json has offsets.
-    """
-    if _times_stated(capture):
-        return []
-    videos: dict[Path, str] = {}
-    for shot in capture.shots:
-        if shot.image.frame is not None:
-            videos.setdefault(shot.image.path, shot.view)
-    if len(videos) < 2:
-        return []
-    found: list[str] = []
-    rates: dict = {}
-    for path, view in videos.items():
-        try:
-            known = index(path)
-        except FastGSError:  # told already
-            continue
-        rates.setdefault(round(known.fps, 2), []).append(view)
-        if not known.constant:
-            found.append(f"{view} has a varying frame rate, so that its frames do not belong to the other cameras' frames")
-    apart = capture.clip.frame_count * (1 - min(rates) / max(rates)) if rates else 0.0
-    known_offsets = read_clocks(capture.path) is not None
-    if len(rates) > 1 and not (known_offsets and apart <= DRIFT):
-        text = ", ".join(f"{', '.join(views[:4])}{' ...' if len(views) > 4 else ''} at {rate:g}" for rate, views in rates.items())
-        so = "so they are not synchronised"
-        if known_offsets:
-            so = f"and drift apart by {apart:.1f} frames, which offsets in {FILE} cannot express"
-        found.append(f"the videos have different frame rates ({text}), {so}")
-    return found
-
-
-def _times_stated(capture: Capture) -> bool:
-    """Whether the layout says when each frame was taken, as timestamps.csv does: a view's frames are not equally far from their numbers."""
-    for shots in by_view(capture.shots).values():
-        late = [shot.t * capture.clip.frame_count - shot.frame for shot in shots]
-        if max(late) - min(late) > 1e-3:
-            return True
-    return False
 
 
 def _text(size: tuple[int, int]) -> str:

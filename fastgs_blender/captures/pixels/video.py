@@ -25,6 +25,8 @@ MOST_PIXELS_A_BYTE = 1 << 13
 TORN = 16
 """Frames at the end of a film among which some may be missing: a cut, or a file that ends early, takes away what comes last in the file,
 which is not what is shown last.  Those behind the first gap are left out."""
+HDR = (16, 18)
+"""Transfer characteristics of ITU-T H.273: PQ and HLG."""
 MARGIN = 1 << 16
 """Pixels beyond its size that a decoder may need for whole blocks at the edges: codecs round a side up to 64 or 128."""
 OPTIONS = {"format_whitelist": "mov,matroska,avi,mpeg,mpegts,mpegvideo,h264,hevc,m4v", "protocol_whitelist": "file"}
@@ -38,6 +40,9 @@ class Index:
     first      seconds of the first frame
     constant   whether all frames are equally far apart
     timecode   of the first frame, HH:MM:SS:FF, or empty
+    turns      quarter turns counterclockwise by which players show its pictures, as phones that film upright ask for
+    base       seconds of a unit of the time stamps
+    wide       whether its brightness is that of HDR (PQ or HLG), which looks pale beside other films
     """
 
     count: int
@@ -48,6 +53,14 @@ class Index:
     constant: bool
     stamps: tuple[int, ...] | None
     timecode: str = ""
+    turns: int = 0
+    wide: bool = False
+    base: float = 0.0
+
+    @property
+    def seconds(self) -> np.ndarray | None:
+        """Times of the frames [count] after the first; None where the file has no time stamps."""
+        return None if self.stamps is None else self.base * (np.array(self.stamps, np.float64) - self.stamps[0])
 
 
 def index(path: Path) -> Index:
@@ -71,7 +84,20 @@ def _index(path: Path, _version: tuple) -> Index:
         if len(stamps) > MOST_FRAMES:
             raise FastGSError(f"{path}: the video has more than the {MOST_FRAMES} frames that are read; cut it into shorter ones.")
         timecode = next((text for each in (stream, container, *container.streams.data) if (text := each.metadata.get("timecode"))), "")
-        return replace(_timed(stamps, base, rate, size), timecode=timecode)
+        turns, wide = _turns(path, size), stream.codec_context.color_trc in HDR
+        return replace(_timed(stamps, base, rate, size[::-1] if turns % 2 else size), timecode=timecode, turns=turns, wide=wide)
+
+
+def _turns(path: Path, size: tuple[int, int]) -> int:
+    """Index.turns: PyAV tells them with a picture; 0 where the first cannot be decoded, which is said when it is asked for."""
+    try:
+        with _opened(path) as container:
+            stream = container.streams.video[0]
+            stream.codec_context.options = {"max_pixels": str(size[0] * size[1] + MARGIN)}
+            frame = next(container.decode(stream), None)
+            return round(getattr(frame, "rotation", 0) / 90) % 4
+    except Exception:  # noqa: BLE001 (a decoder raises anything)
+        return 0
 
 
 def _timed(stamps: list, base: Fraction | None, rate: Fraction | None, size: tuple[int, int]) -> Index:
@@ -87,7 +113,7 @@ def _timed(stamps: list, base: Fraction | None, rate: Fraction | None, size: tup
     if rate and abs(gaps.sum() - len(gaps) / float(rate)) <= 2 * float(base) + 0.001 * gaps.sum():  # stamps are rounded
         fps = float(rate)
     constant = not len(gaps) or float(np.abs(gaps - np.median(gaps)).max()) <= max(0.1 / fps, 1.5 * float(base))
-    return Index(len(stamps), *size, fps, float(stamps[0] * base), constant, tuple(stamps))
+    return Index(len(stamps), *size, fps, float(stamps[0] * base), constant, tuple(stamps), base=float(base))
 
 
 def telemetry(path: Path, begin: bytes, most: int) -> list[tuple[float, bytes]]:
@@ -165,7 +191,7 @@ def _decode(path: Path, known: Index, run: Sequence[int], from_start: bool) -> I
                     continue
                 if number > want:
                     break
-                yield number, frame.to_ndarray(format="rgb24")
+                yield number, np.ascontiguousarray(np.rot90(frame.to_ndarray(format="rgb24"), known.turns))
                 want = next(left, -1)
                 if want < 0:
                     return

@@ -7,7 +7,6 @@ and ends with moved parameters.  Several of them are begun before the GPU is wai
 import statistics
 from collections.abc import Callable
 from itertools import count
-from types import SimpleNamespace
 
 import numpy as np
 
@@ -17,14 +16,13 @@ from ...rendering.instances import Instance
 from ...rendering.layout import Layout
 from ...util.threads import all_threads
 from ..cpu.backend import CPU
+from ..made import steps
 from .device import Failure
 
 ROUNDS, AT_ONCE = 3, 4
 """The median of so many rounds counts, each of so many frames or steps; a single one goes before them."""
-TIME, APART = 0.4, 0.05
-"""Time of the steps, and the time between two frames."""
-RATE = 1e-5
-"""Learning rate of the steps: so small that the view stays as it is."""
+APART = 0.05
+"""Time between two frames."""
 
 FAR = 4.0
 """A GPU that takes so many times as long in a round is not measured further."""
@@ -76,27 +74,10 @@ def _frames(backend: CPU, model: GaussianModel, camera: Camera) -> Work:
 
 
 def _steps(backend: CPU, model: GaussianModel, camera: Camera) -> Work:
-    """Steps of training on one view: forward, loss, backward, statistics of density control, Adam."""
-    n, number = len(model), count(1)
-    values = {name: backend.array(array.copy()) for name, array in model.arrays.items()}
-    moments = {name: (*(backend.zeros(array.shape) for _ in range(2)), backend.zeros((n,), np.int32))
-               for name, array in model.arrays.items()}
-    gathered = SimpleNamespace(**{name: backend.zeros((n,)) for name in ("gradient", "absolute", "seen", "radius")})
-    moved = backend.array(np.zeros(n, np.int64))
-    target = np.random.default_rng(5).integers(0, 256, (camera.height, camera.width, 3), np.uint8)
+    """Steps of training on one view."""
+    step = steps(backend, model, camera)
 
-    def step() -> Callable[[], list[np.ndarray] | None]:
-        backend.begin_step()
-        goal, seen = backend.picture(target.astype(np.float32) / 255, target), backend.zeros((n,))
-        picture = backend.forward(values, model, camera, TIME)
-        loss = backend.compare(picture, goal, None, None, 0.2, 0.0, 1.0)
-        slopes = backend.backward(picture, loss.rgb, loss.alpha, statistics=gathered, emphasis=loss.emphasis, seen=seen)
-        tensors = [(values[name], slopes[name], *moments[name], RATE, 0.0, False) for name in values]
-        backend.adam(backend.rows(seen), tensors, (0.9, 0.999), moved, next(number))
-        return backend.end_step(loss.values)
-
-    def work(steps: int) -> None:
-        ends = [step() for _ in range(steps)]
-        if any(end() is None for end in ends):
+    def work(count: int) -> None:
+        if not step(count):
             raise Failure("it finds more splats in a picture that it has drawn before")
     return work

@@ -12,10 +12,8 @@ from types import SimpleNamespace
 import numpy as np
 
 from ...cameras.camera import Camera
-from ...model.appearance import SH, Appearance, Features
+from ...model.appearance import SH, Appearance
 from ...model.gaussians import GaussianModel
-from ...model.motion import Fourier, Polynomial
-from ...model.temporal import Radial
 from ...rendering.exposure import Aperture, Exposure
 from ...rendering.instances import Instance, ViewedInstance
 from ...rendering.layout import PROBES, Layout
@@ -23,6 +21,7 @@ from ...rendering.quantities import shares
 from ...util.verdicts import Verdict
 from ..cpu.backend import CPU
 from ..cpu.steps import GATE, SHARPNESS
+from ..made import made_camera, made_decoder, made_model
 from ..parameters import DECODER
 from ..protocol import MotionNorm
 from .adapters import Adapter
@@ -55,7 +54,7 @@ def self_test(adapter: Adapter, clock: Callable[[], float] = time.perf_counter) 
     if fault or adapter.software:
         return Verdict(fault)
     try:
-        found = pace(backend, cpu, _model(SH(1), MANY_SPLATS, FINER), _camera(*FRAME), clock)
+        found = pace(backend, cpu, _model(SH(1), MANY_SPLATS, FINER), made_camera(*FRAME), clock)
     except Failure as failure:
         return Verdict(str(failure))
     fault = backend.failed or backend.too_large
@@ -93,23 +92,7 @@ def _wrong_array(found: np.ndarray, wanted: np.ndarray) -> str:
 
 
 def _model(look: Appearance, n: int = N, small: float = 0.0) -> GaussianModel:
-    """A random model with a given appearance; small: how much smaller its Gaussians are, as a logarithm."""
-    rng = np.random.default_rng(2)
-    return GaussianModel(
-        position=rng.uniform((-2, -1.4, 1.5), (2, 1.4, 6), (n, 3)), rotation=rng.normal(size=(n, 4)),
-        scale=rng.normal(-2.3 - small, 0.6, (n, 3)), opacity=rng.normal(0.5, 2, n), features=rng.normal(0.3, 0.3, (n, look.width)),
-        motion=rng.normal(0, 0.05, (n, 4, 3)), rotation_motion=rng.normal(0, 0.3, (n, 1, 4)), mu_tau=rng.uniform(0, 1, n),
-        temporal=rng.normal(1, 1, (n, 1)), basis=Fourier(2), rotation_basis=Polynomial(1), temporal_kind=Radial(), appearance=look)
-
-
-def _decoded() -> Features:
-    """An appearance with a random decoder."""
-    w1, w2 = (np.random.default_rng(1).normal(0, 0.5, shape) for shape in ((6, 12), (3, 6)))
-    return Features(w1, w2)
-
-
-def _camera(width: int, height: int) -> Camera:
-    return Camera(width, height, 0.73 * width, 0.78 * width, width / 2 - 1, height / 2 + 1, np.eye(4))
+    return made_model(look, n, small)
 
 
 def _in_small_buffers(work: Work) -> Work:
@@ -129,7 +112,7 @@ def _nothing(share: float) -> None:
 
 def _scene(camera: Camera, copies: int = 1) -> list[ViewedInstance]:
     """An object with a decoder, and copies of one without."""
-    plain, decoded = _model(SH(1)), _model(_decoded())
+    plain, decoded = _model(SH(1)), _model(made_decoder())
     places = [np.eye(4) for _ in range(copies + 1)]
     for number, place in enumerate(places):
         place[:3, 3] = 0.1 * number, -0.2 * number, 0.3 * number
@@ -150,11 +133,11 @@ def _picture(backend: CPU, camera: Camera, triangles: np.ndarray | None = None, 
 
 
 def _behind_a_triangle(backend: CPU) -> dict[str, np.ndarray]:
-    return _picture(backend, _camera(96, 64), TRIANGLE) | {"surface": np.array(backend.surface(TRIANGLE, _camera(96, 64)))}
+    return _picture(backend, made_camera(96, 64), TRIANGLE) | {"surface": np.array(backend.surface(TRIANGLE, made_camera(96, 64)))}
 
 
 def _sorted_by_pixel_and_blurred(backend: CPU) -> dict[str, np.ndarray]:
-    camera = _camera(48, 32)
+    camera = made_camera(48, 32)
     instances = _scene(camera)
     exposure = Exposure(-2, 2, steps=2, aperture=Aperture(0.1, 2.0, samples=2))
     objects = [instance.identity for instance in instances]
@@ -227,11 +210,11 @@ def _moves(backend: CPU, model: GaussianModel) -> np.ndarray:
 
 
 WORKS: dict[str, tuple[Work, ...]] = {
-    "pictures": (lambda backend: _picture(backend, _camera(96, 64), copies=7),  # more Gaussians than are scanned at once
+    "pictures": (lambda backend: _picture(backend, made_camera(96, 64), copies=7),  # more Gaussians than are scanned at once
                  _behind_a_triangle, _in_small_buffers(lambda backend: _picture(backend, STRIP)), _sorted_by_pixel_and_blurred),
-    "gradients": (lambda backend: _gradients(backend, SH(1), _camera(96, 64)),
-                  lambda backend: _gradients(backend, _decoded(), _camera(96, 64)),
-                  _in_small_buffers(lambda backend: _gradients(backend, _decoded(), STRIP, 720))),
+    "gradients": (lambda backend: _gradients(backend, SH(1), made_camera(96, 64)),
+                  lambda backend: _gradients(backend, made_decoder(), made_camera(96, 64)),
+                  _in_small_buffers(lambda backend: _gradients(backend, made_decoder(), STRIP, 720))),
     "steps": (_step,),
 }
 """The works by what they compute."""

@@ -2,6 +2,7 @@
 """A whole training run: from the name of a capture to a folder with the finished model."""
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -103,8 +104,13 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
 
 def _seconds(capture: Capture, settings: Settings) -> float:
     """How long a run on this capture will take on the processor, roughly."""
-    from ..core.costs import estimate
+    from ...captures.pixels import decoding
+    from ...util.progress import LONG
+    from ..core import costs
     from ..core.spans import steps_of
 
-    pixels = max((shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None), default=0)
-    return estimate(pixels, steps_of(capture.clip.frame_count, settings), settings.max_gaussians)[0]
+    first = {shot.view: shot for shot in reversed(capture.training)}.values()
+    pixels = max((math.prod(decoding.shape(shot, capture.scale)[:2]) for shot in first), default=0)
+    run = pixels, steps_of(capture.clip.frame_count, settings), settings.max_gaussians, len(capture.training), len(first)
+    usual = costs.estimate(*run)[0]
+    return usual if usual < LONG / 3 else costs.estimate(*run, costs.measured_pace())[0]

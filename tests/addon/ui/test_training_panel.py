@@ -101,7 +101,7 @@ def test_the_estimate_includes_filming_and_learns_from_it(settings, scene, modul
     monkeypatch.setattr(progress, "current", None)
     words, _ = drawn("FASTGS_PT_training")
     costs = module("fastgs_blender.training.core.costs")
-    training, _ = costs.estimate(640 * 480, *costs.size_of(settings.preset, pixels=12 * 640 * 480), 120)
+    training, _ = costs.estimate(640 * 480, *costs.size_of(settings.preset, pixels=12 * 640 * 480), 120, 12)
     assert f"about {results.duration(600 + training)}" in words and "10 min of it" in words
 
 

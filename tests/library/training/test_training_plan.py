@@ -149,3 +149,18 @@ def test_training_from_python_gives_the_model(toy, tmp_path):
     assert model.clip.frame_count == 2 and len(model) < 80
     with pytest.raises(fg.FastGSError, match="already"):
         train(toy, tmp_path / "run")
+
+
+def test_the_time_of_a_run_follows_this_machine_and_the_work(monkeypatch):
+    """Twice as slow a machine takes twice as long; more cameras take longer before the first step; a measured pace is a real one."""
+    from fastgs_blender.training.core import costs
+
+    pace = costs.usual_pace()
+    slow = costs.Pace(2 * pace.pixel, 2 * pace.gaussian)
+    work = 640 * 480, 2500, 20_000, 300, 12
+    assert costs.estimate(*work, slow)[0] == pytest.approx(2 * costs.estimate(*work, pace)[0])
+    assert costs.estimate(*work)[0] == costs.estimate(*work, pace)[0] < costs.estimate(*work[:3], 600, 24)[0]
+    monkeypatch.setattr(costs, "MADE", 500)
+    monkeypatch.setattr(costs, "MADE_SIZES", ((96, 64), (24, 16)))
+    found = costs.measured_pace()
+    assert 0 < found.pixel < 1e-3 and 0 < found.gaussian < 1e-1

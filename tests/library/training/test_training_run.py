@@ -144,7 +144,7 @@ def test_the_command_leaves_a_model_and_its_history(finished):
 
 
 def test_a_long_run_says_how_long_it_takes_and_how_right_that_was(files, tmp_path, monkeypatch):
-    monkeypatch.setattr("fastgs_blender.training.core.costs.estimate", lambda pixels, steps, most: (pixels * steps / 96, 0))
+    monkeypatch.setattr("fastgs_blender.training.core.costs.estimate", lambda pixels, steps, *_: (pixels * steps / 96, 0))
     said = []
     wanted = {**FEW, "init": "file", "iterations": 5}
     launch(source_of(files, None, None, None, None), tmp_path / "run", wanted, False, False, True, said.append, "cpu")
