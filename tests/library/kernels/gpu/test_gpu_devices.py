@@ -10,6 +10,7 @@ import pytest
 from toy_captures import toy_capture
 
 import fastgs_blender as fg
+from fastgs_blender.kernels import made
 from fastgs_blender.kernels.cpu.backend import CPU
 from fastgs_blender.kernels.gpu import adapters, choice, pace, selftest
 from fastgs_blender.kernels.gpu.backend import GPU
@@ -167,7 +168,7 @@ def test_the_next_gpu_is_taken_where_the_first_is_slow(machine):
 
 
 def test_a_gpu_that_is_far_behind_is_not_measured_for_long(monkeypatch):
-    model, camera, calls = selftest._model(selftest.SH(1), 50), selftest._camera(16, 16), []
+    model, camera, calls = selftest._model(selftest.SH(1), 50), made.made_camera(16, 16), []
     monkeypatch.setattr(SimpleBackend, "draw", lambda self, *given: calls.append(1) or CPU.draw(self, *given))
     found = pace.pace(SimpleBackend(), CPU(), model, camera, iter(np.cumsum([0, 1, 0, 0.1] * 2)).__next__)
     assert len(calls) == 1 + pace.AT_ONCE and found["frame"] == pytest.approx((250, 25)) == found["step"]
@@ -177,7 +178,7 @@ def test_the_pace_of_a_real_adapter_is_taken(shared_gpu, adapter, monkeypatch):
     """Its frames and steps come to their end, and each time is of the backend that worked."""
     ran, run = [], Device.run
     monkeypatch.setattr(Device, "run", lambda self, name, *given, **rest: ran.append(name) or run(self, name, *given, **rest))
-    found = pace.pace(shared_gpu, CPU(), selftest._model(selftest.SH(1), 300, 1.0), selftest._camera(96, 64), clock(0.4, 0.2))
+    found = pace.pace(shared_gpu, CPU(), selftest._model(selftest.SH(1), 300, 1.0), made.made_camera(96, 64), clock(0.4, 0.2))
     assert found == {name: pytest.approx((100, 50)) for name in ("frame", "step")} and not Verdict("", **found).faster
     assert shared_gpu.failed is None and {"raster", "project_backward"} <= set(ran)
 
