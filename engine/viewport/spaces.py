@@ -205,12 +205,14 @@ class Viewports:
             self.start()
 
     def redraw(self, *_) -> None:
-        """Draw all 3D viewports again, after a setting of theirs has changed."""
+        """Draw all 3D viewports again, after a setting of theirs has changed, and the buttons that depend on it."""
         if not bpy.app.is_job_running('RENDER'):
             proxies.update()
         self.start()
-        for region in _regions():
-            region.tag_redraw()
+        for window in bpy.context.window_manager.windows:
+            for area in window.screen.areas:
+                if area.type in {'VIEW_3D', 'PROPERTIES'}:
+                    area.tag_redraw()
 
     def start(self) -> None:
         """Start the timer; it ends when nothing is under way."""

@@ -2,6 +2,8 @@
 """Gaussians that are hidden by hand: what F12 shows, what undo and .blend files keep, the operators."""
 from __future__ import annotations
 
+from types import SimpleNamespace
+
 import bpy
 import dirty_rooms
 import numpy as np
@@ -113,6 +115,17 @@ def test_selecting_evaluates_no_mesh(row, module, monkeypatch):
     selection.erase(row, np.arange(10) < 1)
     bpy.context.view_layer.update()
     assert moved
+
+
+def test_buttons_are_drawn_again_with_the_views(module, monkeypatch):
+    """What is selected has no update callback, after which Blender draws all windows again: buttons that need a selection wait for us."""
+    spaces, drawn = module("engine.viewport.spaces"), []
+    areas = [SimpleNamespace(type=kind, tag_redraw=lambda kind=kind: drawn.append(kind)) for kind in ('VIEW_3D', 'PROPERTIES', 'OUTLINER')]
+    manager = SimpleNamespace(windows=[SimpleNamespace(screen=SimpleNamespace(areas=areas))])
+    monkeypatch.setattr(spaces, "bpy", SimpleNamespace(context=SimpleNamespace(window_manager=manager),
+                                                       app=SimpleNamespace(is_job_running=lambda _: True, timers=bpy.app.timers)))
+    spaces.viewports.redraw()
+    assert drawn == ['VIEW_3D', 'PROPERTIES']
 
 
 def test_wireframe_shows_what_is_selected_and_nothing_else(row, module):
