@@ -153,18 +153,23 @@ def peak_memory(n, width, height, appearance) -> dict:
 
     From Linux' VmHWM: getrusage would count the parent's memory too.
     """
-    with tempfile.TemporaryDirectory() as folder:
-        path = str(Path(folder) / "model.safetensors")
-        fg.save(scene(n, width, height, appearance)[0], path)
-        peak, idle = (child(f"""
+    def measured(model: str, width: int, height: int) -> dict:
+        code = f"""
 import sys; sys.path.insert(0, "benchmarks")
 import json, raster_cpu as bench, fastgs_blender as fg
-camera = bench.scene(1, {size[0]}, {size[1]})[1]
+camera = bench.scene(1, {width}, {height})[1]
 model = {model}
 fg.render(model, camera, 0.4, backend="cpu")
 peak = 1024 * next(int(line.split()[1]) for line in open("/proc/self/status") if line.startswith("VmHWM"))
 print(json.dumps({{"model": model.nbytes, "peak": peak}}))
-""") for model, size in ((f"fg.load({path!r})", (width, height)), (f"bench.scene(1, 16, 16, {appearance!r})[0]", (16, 16))))
+"""
+        child(code)  # compiles what is not in the cache
+        return child(code)
+
+    with tempfile.TemporaryDirectory() as folder:
+        path = str(Path(folder) / "model.safetensors")
+        fg.save(scene(n, width, height, appearance)[0], path)
+        peak, idle = measured(f"fg.load({path!r})", width, height), measured(f"bench.scene(1, 16, 16, {appearance!r})[0]", 16, 16)
     model = peak["model"]
     return {"model MB": model / 1e6, "peak MB": peak["peak"] / 1e6, "idle MB": idle["peak"] / 1e6, "peak / model": peak["peak"] / model,
             "(peak - idle) / model": (peak["peak"] - idle["peak"]) / model}
