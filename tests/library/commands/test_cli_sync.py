@@ -55,7 +55,7 @@ def test_refining_keeps_what_was_found_and_measures_all_views(shifted, monkeypat
     values = json.loads(capsys.readouterr().out)
     assert values["found_by"] == "training" and values["offsets"].keys() == {"cam00", "cam01", "cam02", "cam03"}
     assert values["offsets"]["cam02"] == pytest.approx(3.4, abs=0.5) and seen[-1] == (clocks.STAGES[-1], 1)
-    assert min(Counter(stage for stage, _ in seen).values()) > 1, "each of the stages tells how far it is"
+    assert Counter(stage for stage, _ in seen)["finding starting points"] > 1, "what takes long tells how far it is"
     assert set(clocks.STAGES) == {stage for stage, _ in seen} and set(clocks.STAGES) < set(sync.WEIGHTS)
     assert np.median(list(values["offsets"].values())) == pytest.approx(0, abs=1e-6)
 
@@ -94,8 +94,8 @@ def test_a_camera_with_a_wrong_pose_has_no_clock(shifted, monkeypatch, tmp_path,
 @pytest.mark.slow
 def test_a_camera_with_a_wrong_pose_is_not_trained_on(shifted, monkeypatch):
     monkeypatch.setattr(clocks, "start", lambda capture, *_: pytest.fail(str(capture.views)))
-    with pytest.raises(pytest.fail.Exception, match=r"\['cam00', 'cam01', 'cam03'\]"):
-        clocks.refined(shifted, Clocks({"cam01": 0.5}, {}, "sound"), misplaced=["cam02"])
+    with pytest.raises(pytest.fail.Exception, match=r"\['cam00', 'cam02', 'cam03'\]"):
+        clocks.refined(shifted, Clocks({"cam01": 0.5}, {}, "sound"), misplaced=["cam01"])
 
 
 def test_a_part_of_the_clip(shifted, monkeypatch, capsys):
