@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from ..util.errors import FastGSError
-from .pixels.video import index
+from .pixels.video import MOST_FRAMES, index
 from .rig_camera import RigCamera
 
 NEAR = 0.75
@@ -43,6 +43,9 @@ def evened(cameras: Sequence[RigCamera], fps: float) -> tuple[list[RigCamera], f
 def _on_the_beat(camera: RigCamera, seconds: np.ndarray, beat: float) -> RigCamera:
     """The camera with the picture that is nearest to each moment."""
     at = seconds * beat
+    if not at[-1] < MOST_FRAMES:
+        raise FastGSError(f"{_paths(camera)[0]}: its time stamps jump, to {seconds[-1]:.3g} seconds; "
+                          "convert it to a constant frame rate.")
     moments = np.arange(int(np.floor(at[-1] + 0.5)) + 1)
     between = (at[:-1] + at[1:]) / 2
     nearest = np.searchsorted(between, moments)

@@ -79,10 +79,9 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
         if way == "sound":
             raise FastGSError(f"{capture.path}: " + ("its cameras have no sound in common" if found is None else
                               f"the sound of {', '.join(found.lost)} fits no other camera's") + "; find the offsets with --by motion.")
-    placed = replace(capture, shots=[shot for shot in capture.shots if shot.view not in misplaced])
-    by_planes = by_epipolar_planes(placed, progress) if way in ("auto", "motion") else None
-    if by_planes is not None and 2 * len(by_planes.lost) < len(capture.views):
-        return replace(by_planes, lost=(*by_planes.lost, *misplaced))
+    by_planes = by_epipolar_planes(capture, progress, misplaced=misplaced) if way in ("auto", "motion") else None
+    if by_planes is not None and 2 * len({*by_planes.lost} - {*misplaced}) < len(capture.views):
+        return by_planes
     shown = curves(capture, progress)
     flash = flashes(shown) if way in ("auto", "flash") else None
     if flash is not None:
@@ -95,12 +94,14 @@ def find_offsets(capture: Capture, way: str = "auto", progress: Callable[[int, i
 
 
 def by_epipolar_planes(capture: Capture, progress: Callable[[int, int], None] | None = None,
-                       pictures: epipolar.Pictures | None = None) -> Found | None:
+                       pictures: epipolar.Pictures | None = None, misplaced: Collection[str] = ()) -> Found | None:
     """The offsets of cameras whose poses are known (epipolar.py); None where no pair of them could be compared.
 
-    pictures  gives the pictures of shots; None: they are decoded
+    pictures   gives the pictures of shots; None: they are decoded
+    misplaced  views whose poses are wrong: they are lost
     """
-    views, pairs = epipolar.pairs(capture, progress or (lambda done, of: None), pictures)
+    placed = replace(capture, shots=[shot for shot in capture.shots if shot.view not in misplaced])
+    views, pairs = epipolar.pairs(placed, progress or (lambda done, of: None), pictures)
     if not pairs:
         return None
     offsets, deviations = offsets_from_pairs(len(views), pairs)

@@ -80,7 +80,7 @@ def kernel(function):
 
 
 class Part(JITCodeLibrary):
-    """LLVM's code of a function that becomes part of its callers.  Alone it never becomes machine code, which would take as long."""
+    """LLVM's code of a function that becomes part of its callers.  By itself it never becomes machine code, as nothing would run that."""
 
     def _finalize_final_module(self):
         self._finalize_dynamic_globals()

@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Films as phones write them: varying and different rates, turned, HDR; each picture is at the moment at which it was taken."""
 import struct
+from dataclasses import replace
 from fractions import Fraction
 
 import numpy as np
 import pytest
 
-from fastgs_blender.captures import open_capture
+from fastgs_blender.captures import film_times, open_capture
 from fastgs_blender.captures.pixels import video
 from fastgs_blender.captures.pixels.checks import problems
+from fastgs_blender.util.errors import FastGSError
 
 av = pytest.importorskip("av")
 BASE = Fraction(1, 90_000)
@@ -69,6 +71,19 @@ def test_films_of_one_even_rate_stay_frame_by_frame(tmp_path):
     capture = open_capture(tmp_path)
     assert [(shot.frame, shot.image.frame) for shot in capture.shots if shot.view == "b"] == [(k, k) for k in range(8)]
     assert not capture.notes and {shot.t for shot in capture.shots} == {k / 8 for k in range(8)}
+
+
+def test_time_stamps_that_jump_far_end_in_a_sentence(tmp_path, monkeypatch):
+    for name in "ab":
+        film(tmp_path / f"{name}.mp4", np.arange(8) / 25, brightness)
+
+    def damaged(path):
+        known = video.index(path)
+        return known if path.stem == "a" else replace(known, stamps=(*known.stamps[:-1], 1 << 50), constant=False)
+
+    monkeypatch.setattr(film_times, "index", damaged)
+    with pytest.raises(FastGSError, match=r"b\.mp4.*constant frame rate"):
+        open_capture(tmp_path)
 
 
 @pytest.mark.parametrize("quarters", [1, 2, 3])
