@@ -5,42 +5,22 @@ Kernels land in the cache folder, where the first render finds them.  If anythin
 """
 import importlib.util
 import logging
-import os
 import subprocess
-import sys
 import time
-from pathlib import Path
 
 import bpy
 
-from ..fastgs_blender.jobs.environment import hidden
-from ..fastgs_blender.kernels.cpu import cache
+from ..fastgs_blender.kernels.cpu import aside, cache
+from ..fastgs_blender.util.processes import hidden
 
 log = logging.getLogger(__name__)
 TEXT = "FAST-GS compiles its renderer for this machine, once; pictures can be made after some ten seconds"
 _process: subprocess.Popen | None = None
 
-# Compiled code refers to its modules by name, so they must have the names there that they have here.  What else the extension
-# consists of cannot be imported without Blender: empty packages stand for it.
-_CHILD = """
-import importlib, sys, types
-package, root = sys.argv[1:]
-names = package.split(".")
-for i in range(len(names)):
-    module = sys.modules[".".join(names[:i + 1])] = types.ModuleType(names[i])
-    module.__path__ = [root] if i + 1 == len(names) else []
-importlib.import_module(package + ".fastgs_blender.kernels.cpu.warm").compile_all()
-"""
-
 
 def has_numba() -> bool:
     """Whether the fast renderer can run here at all; without numba, NumPy renders, slowly."""
     return importlib.util.find_spec("numba") is not None
-
-
-def command() -> list[str]:
-    """The command line that compiles the kernels under the module names and files with which this Blender imports them."""
-    return [sys.executable, "-c", _CHILD, __package__.rpartition(".")[0], str(Path(__file__).parents[1])]
 
 
 def is_running() -> bool:
@@ -58,9 +38,8 @@ def start() -> bool:
     global _process
     if not has_numba() or cache.is_filled() or is_running():
         return False
-    environment = {**os.environ, "FASTGS_CACHE_DIR": str(cache.base_folder()), "PYTHONPATH": os.pathsep.join(sys.path)}
     try:
-        _process = subprocess.Popen(command(), env=environment, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+        _process = subprocess.Popen(aside.command("all"), env=aside.environment(), stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
                                     stderr=subprocess.PIPE, **hidden())
     except OSError as error:
         log.warning("The renderer cannot be compiled ahead (%s); the first render will do it.", error)

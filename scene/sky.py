@@ -21,7 +21,7 @@ import bpy
 import numpy as np
 
 from .. import fastgs_blender as fg
-from ..fastgs_blender.jobs.environment import hidden
+from ..fastgs_blender.util.processes import hidden
 
 log = logging.getLogger(__name__)
 

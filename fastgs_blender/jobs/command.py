@@ -8,9 +8,10 @@ from collections.abc import Container, Sequence
 from pathlib import Path
 
 from ..util.errors import FastGSError
+from ..util.processes import end, hidden
 from ..util.reading import read_json
 from . import causes
-from .environment import end, environment, hidden
+from .environment import environment
 
 LARGEST_STATUS = 1 << 16
 

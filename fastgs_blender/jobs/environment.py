@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from ..util.errors import FastGSError
+from ..util.processes import hidden
 
 NEEDED = {"numba": "numba", "safetensors": "safetensors", "PIL": "pillow", "tqdm": "tqdm", "numpy": "numpy"}
 """Modules without which training does not run, and the packages that have them."""
@@ -100,22 +101,3 @@ def python_in(place: str) -> str | None:
         return str(path)
     names = ("Scripts/python.exe", "python.exe") if sys.platform == "win32" else ("bin/python", "bin/python3")
     return next((str(path / name) for name in names if (path / name).is_file()), None)
-
-
-def end(process: subprocess.Popen, patience: float = 2.0) -> None:
-    """End a process: it may clear up for so many seconds, and is then killed."""
-    if process.poll() is not None:
-        return
-    process.terminate()
-    try:
-        process.wait(patience)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        process.wait()
-
-
-def hidden() -> dict:
-    """Arguments for Popen with which a process opens no window of its own."""
-    if sys.platform == "win32":
-        return {"creationflags": subprocess.CREATE_NO_WINDOW}
-    return {}

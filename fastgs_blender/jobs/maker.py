@@ -8,8 +8,8 @@ from pathlib import Path
 
 from ..util.errors import FastGSError
 from ..util.outputs import appending
+from ..util.processes import end, hidden
 from ..util.reading import LARGEST_JSON, read_bytes
-from .environment import end, hidden
 
 INSTALLED = ("numpy>=1.26", "numba>=0.61", "safetensors>=0.4.3", "OpenEXR>=3.3", "pillow>=10", "tqdm>=4.60", "zstandard>=0.22",
              "wgpu>=0.32,<0.40", "av>=14", "pycolmap>=4.2")

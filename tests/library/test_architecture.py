@@ -29,7 +29,7 @@ BACKEND_USERS = {
     "fastgs_blender/formats/rounding.py": {"jit"},  # rounds each number by the one before
     "scene/settings.py": {"cache"},  # Blender's folder for caches
     "engine/diagnostics.py": {"cache"},  # what is compiled
-    "engine/compiling.py": {"cache", "warm"},  # compiles the kernels ahead, in a process of its own
+    "engine/compiling.py": {"aside", "cache"},  # compiles the kernels ahead, in a process of its own
     "operators/maintenance.py": {"cache"}, "ui/preferences.py": {"cache"},  # the cache's size; clearing it
 }
 """Modules outside kernels/ that import one of a backend's modules, which of them, and why.  All others ask util/backends.py."""

@@ -74,7 +74,7 @@ class CPU:
     front_to_back = staticmethod(visible.front_to_back)
 
     def forward(self, parameters, template, camera, t, depth=False, band=0.0):
-        announce()
+        announce("step")
         return training.forward(parameters, template, camera, t, depth, band)
 
     compare = staticmethod(training.compare)

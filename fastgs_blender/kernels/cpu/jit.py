@@ -9,7 +9,7 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
-import threading
+import time
 from pathlib import Path
 
 import numba
@@ -21,7 +21,7 @@ from numba.core.compiler import Compiler
 from numba.core.runtime import nrt
 
 from ...util.remarks import remark
-from . import cache
+from . import aside, cache
 
 FOLDER = cache.folder()
 
@@ -64,10 +64,24 @@ class Kept(FunctionCache):
     _impl_class = Code
 
     def load_overload(self, sig, target_context):
-        """The code for a signature, or None, as numba's does it."""
+        """The code for a signature, or None, as numba's does it.  Code that is compiled aside is waited for."""
         _runtime()
         with self._guard_against_spurious_io_errors():
-            return self._load_overload(sig, target_context)
+            while True:
+                is_coming = aside.is_compiling(self._py_func.__name__)
+                found = self._load_overload(sig, target_context)
+                if found or not is_coming:
+                    return found
+                time.sleep(0.02)
+
+
+def _not_run(compiled):
+    """What stands for a kernel in the process aside: it compiles, if that is this process's work, and finds nothing."""
+    def compile_only(*args):
+        if compiled.__name__ in aside.KERNELS:
+            compiled.compile(tuple(compiled.typeof_pyval(arg) for arg in args))
+        return 0
+    return compile_only
 
 
 def kernel(function):
@@ -76,7 +90,7 @@ def kernel(function):
     compiled = numba.njit(**options)(function)
     with contextlib.suppress(OSError, RuntimeError):  # nowhere to write: compile anew in every process
         compiled._cache = Kept(function)
-    return compiled
+    return _not_run(compiled) if aside.is_here() else compiled
 
 
 class Part(JITCodeLibrary):
@@ -110,13 +124,14 @@ inline = numba.njit(error_model="numpy", fastmath={"contract", "nsz"}, boundsche
 """Decorator of the small functions that kernels call; they always become part of them, whatever LLVM thinks of their size."""
 
 
-_announced = threading.Event()
+_announced: set[str] = set()
 
 
-def announce():
-    """Say on one line, once, that kernels are being compiled, if there are none in the cache."""
-    if _announced.is_set():
+def announce(work: str = "picture"):
+    """Before a work of warm.py: without kernels in the cache, say on one line that they are being compiled; have some compiled aside."""
+    if work in _announced:
         return
-    _announced.set()
-    if not cache.is_begun():
+    if not _announced and not cache.is_begun():
         remark("FAST-GS: compiling the renderer for this machine; this happens once and takes some ten seconds.")
+    _announced.add(work)
+    aside.begin(work)

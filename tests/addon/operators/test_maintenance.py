@@ -77,7 +77,7 @@ def test_compile_now_and_clear(module, session_kernels, empty_cache):
     assert cache.size() > 100_000
     # a process that renders finds them: nothing is announced, nothing is added
     files = set(empty_cache.rglob("*.nbc"))
-    run = subprocess.run(module("engine.compiling").command(), capture_output=True, text=True, check=True)
+    run = subprocess.run(module("fastgs_blender.kernels.cpu.aside").command("all"), capture_output=True, text=True, check=True)
     assert "compiling" not in run.stderr
     assert set(empty_cache.rglob("*.nbc")) == files
     assert bpy.ops.fastgs.clear_kernels() == {'FINISHED'}

@@ -3,13 +3,21 @@
 from __future__ import annotations
 
 import os
+import shutil
 import subprocess
 import sys
 
 import pytest
 
-from fastgs_blender.kernels.cpu import cache, warm
+from fastgs_blender.kernels.cpu import aside, cache, warm
 from fastgs_blender.kernels.cpu.jit import inline, kernel
+
+
+def _printed(folder, *arguments, **variables):
+    """What another Python prints, with the modules of this one and a cache of its own in the folder."""
+    path = os.pathsep.join(filter(None, sys.path))
+    environment = os.environ | {"FASTGS_CACHE_DIR": str(folder / "cache"), "PYTHONPATH": path} | variables
+    return subprocess.run([sys.executable, *arguments], env=environment, check=True, capture_output=True, text=True).stdout.split()
 
 
 @pytest.mark.slow
@@ -46,8 +54,7 @@ print(added(1), sum(added.stats.cache_hits.values()))
         file = tmp_path / place / "same" / "one.py"
         file.parent.mkdir(parents=True)
         file.write_text(source.format(number), "ascii")
-        environment = os.environ | {"FASTGS_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
-        return subprocess.run([sys.executable, file], env=environment, check=True, capture_output=True, text=True).stdout.split()
+        return _printed(tmp_path, file)
 
     assert [run("here", 1), run("there", 1), run("new", 2)] == [["2", "0"], ["2", "1"], ["3", "0"]]
 
@@ -73,10 +80,9 @@ print(twice(1), sum(added.stats.cache_hits.values()), sum(twice.stats.cache_hits
 """
     (tmp_path / "one.py").write_text(one, "ascii")
     (tmp_path / "two.py").write_text(two, "ascii")
-    environment = os.environ | {"FASTGS_CACHE_DIR": str(tmp_path / "cache"), "PYTHONPATH": os.pathsep.join(filter(None, sys.path))}
 
     def run(name):
-        return subprocess.run([sys.executable, tmp_path / name], env=environment, check=True, capture_output=True, text=True).stdout.split()
+        return _printed(tmp_path, tmp_path / name)
 
     assert run("one.py") == ["2", "0", "False"]
     assert run("one.py") == ["2", "1", "False"], "code is loaded without its bitcode"
@@ -92,3 +98,42 @@ def test_a_function_that_becomes_part_of_kernels_has_no_machine_code_and_refuses
         half(8.0)
     (result,) = half.overloads.values()
     assert not result.library._codegen._engine.is_symbol_defined(result.fndesc.llvm_func_name)
+
+
+def test_the_process_aside_compiles_its_kernels_and_runs_none(tmp_path):
+    source = """from fastgs_blender.kernels.cpu.jit import kernel
+@kernel
+def project(x):
+    x[0] += 1
+@kernel
+def another(x):
+    x[0] += 1
+import numpy as np
+x = np.zeros(1)
+print(project(x), another(x), x[0])
+"""
+    (tmp_path / "one.py").write_text(source, "ascii")
+    assert _printed(tmp_path, tmp_path / "one.py", **{aside.VARIABLE: "1"}) == ["0", "0", "0.0"]
+    assert [path.name.split("-")[0] for path in tmp_path.rglob("*.nbi")] == ["one.project"]
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("work", ["picture", "step"])
+def test_a_second_process_compiles_what_takes_long(tmp_path, work):
+    """This one finds that code in the cache, and begins no other process when the next one starts."""
+    source = """import sys
+from fastgs_blender.kernels.cpu import aside, project, project_backward, warm
+warm.aside.end_with_parent = lambda: None
+warm.WORK[sys.argv[1]]()
+print(sum(project.project.stats.cache_hits.values()), sum(project_backward.project_backward.stats.cache_hits.values()),
+      sum(project.opaque.stats.cache_hits.values()), aside._process is not None)
+"""
+
+    def run(threads):
+        return _printed(tmp_path, "-c", source, work, FASTGS_THREADS=threads)
+
+    backward = str(int(work == "step"))
+    assert run("2") == ["1", backward, "0", "True"]
+    assert run("2") == ["1", backward, "1", "False"]
+    shutil.rmtree(tmp_path / "cache")
+    assert run("1") == ["0", "0", "0", "False"]
