@@ -21,6 +21,10 @@ MILLIMETRES = 1e-3
 CLOSE = 2e-4
 """Focal lengths by which a fitted lens may be off: a fifth of a pixel where the focal length is 1000."""
 
+UNTURN = ("calibrate it with upright pictures, or take the mark off the film that says that it is turned (ffmpeg -display_rotation 0 "
+          "-i FILM -c copy NEW)")
+"""What to do with a film that is read upright, and whose calibration is of unturned pictures."""
+
 
 @dataclass(frozen=True, eq=False)
 class Calibrated:
@@ -50,9 +54,15 @@ class Calibrated:
             return poses.intrinsics(where, fx, fy, size[0] / 2 + u, size[1] / 2 + v, *size)
         sx, sy = size[0] / given[0], size[1] / given[1]
         if abs(sx - sy) > 0.01 * sx:
+            remedy = UNTURN if turned(size, given) else "give pictures that are neither cropped nor turned"
             raise FastGSError(f"{where}: it has {size[0]} x {size[1]} pixels, but camera {self.name} was calibrated for {given[0]} x "
-                              f"{given[1]}; give pictures that are neither cropped nor turned.")
+                              f"{given[1]}; {remedy}.")
         return poses.intrinsics(where, m[0, 0] * sx, m[1, 1] * sy, (m[0, 2] + 0.5) * sx, (m[1, 2] + 0.5) * sy, *size)
+
+
+def turned(size: tuple[int, int], other: tuple[int, int]) -> bool:
+    """Whether pictures of one size have the shape of the other one, turned by a quarter."""
+    return size[0] != size[1] and abs(size[0] * other[0] - size[1] * other[1]) <= 0.01 * size[0] * other[0]
 
 
 def camera(name: str, where: str, matrix: object, distortion: object, rotation: object, translation: object,

@@ -15,7 +15,7 @@ from ..cameras.opencv import Calibrated, metric, upright_axes
 from ..util.errors import FastGSError
 from .capture import Capture, Options
 from .pixels.probe import picture_size
-from .pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
+from .pixels.sequences import film_of, films_in, frame_range, holds_pictures, numbered_pictures, video_frames
 from .rig_camera import RigCamera
 from .rigs import Entry, from_entries, from_rig, lone_sentence
 from .sources import PICTURES, VIDEOS, Source
@@ -23,6 +23,8 @@ from .timestamps import Times
 
 NOT_A_NAME = ("int", "ext", "img")
 """Words around a camera's name in Pose2Sim's calibrations."""
+NOT_CAMERAS = ("masks", "mask")
+"""Folders that hold no films, whatever is in them."""
 LATER = ("calib", "annotat", "intrinsic", "extrinsic")
 """Folders whose films show a calibration board or what a program drew: looked at after all others."""
 
@@ -32,7 +34,7 @@ def is_film(place: Path) -> bool:
     if place.name.startswith("."):
         return False
     if place.is_dir():
-        return bool(numbered_pictures(place) or films_in(place))
+        return holds_pictures(place) or bool(films_in(place))
     return place.suffix.lower() in VIDEOS and place.is_file()
 
 
@@ -84,7 +86,8 @@ def films_of(names: Sequence[str], file: Path, path: Path, exact: bool = False) 
     """
     places = dict.fromkeys([file.parent, path if path.is_dir() else file.parent])
     for place in [*places, *([file.parent.parent] if _later(file.parent) else [])]:
-        places |= dict.fromkeys(sorted((p for p in place.iterdir() if p.is_dir() and not p.name.startswith(".")), key=_later))
+        places |= dict.fromkeys(sorted((p for p in place.iterdir() if p.is_dir() and not p.name.startswith(".")
+                                         and p.name.lower() not in NOT_CAMERAS), key=_later))
     best: dict[str, Path] = {}
     counted: list[Path] = []
     for place in sorted(places, key=_later):

@@ -132,7 +132,7 @@ def from_entries(
     gaps    (view, frame) of pictures that are not there: these, and damaged ones, are left out with a note, or are a fault (MOST_LOST)
     """
     check_count(path, frame_count)
-    check_count(path, len(entries))
+    check_count(path, max(len(entries), 1))
     scale = scale if options.scale is None else options.scale
     if not (np.isfinite(scale) and 0 < scale <= 1):
         raise FastGSError(f"the scale of a capture's pictures must be above 0 and at most 1, not {scale:g}.")
@@ -146,7 +146,7 @@ def from_entries(
         notes.append(f"pictures are used at {scale:.0%} of their size, as in published work; a scale of 1 keeps all their pixels")
     if options.frames is not None and frame_count < (options.frames.stop or 0):
         notes.append(f"the part asked for goes on behind the capture's last frame, {frame_count - 1}, and ends there")
-    notes += _hdr_notes(entries)
+    notes += _film_notes(entries)
     entries, lost = _readable([entry for entry in entries if entry.frame in place])
     gaps = [(view, frame) for view, frame in gaps if frame + _whole(options.offsets.get(printable(view), 0.0)) in place]
     faults = [*faults]
@@ -197,16 +197,25 @@ def _readable(entries: Sequence[Entry]) -> tuple[list[Entry], list[str]]:
     return whole, damaged
 
 
-def _hdr_notes(entries: Sequence[Entry]) -> list[str]:
-    """A remark where films of some cameras are HDR and those of others are not: their colours differ more than exposures do."""
+def _film_notes(entries: Sequence[Entry]) -> list[str]:
+    """Remarks where films of some cameras are HDR and those of others are not, for their colours differ more than exposures do; and where
+    films with poses are turned, for the poses must be those of the turned pictures."""
     wide: dict[bool, list[str]] = {True: [], False: []}
-    for path, view in {entry.image.path: entry.view for entry in entries if entry.image.frame is not None}.items():
+    turned = []
+    for path, (view, pose) in {entry.image.path: (entry.view, entry.world_to_camera) for entry in entries
+                               if entry.image.frame is not None}.items():
         with suppress(FastGSError):  # told with the frames
             wide[index(path).wide].append(view)
-    if not all(wide.values()):
-        return []
-    some = ", ".join(wide[True][:6])
-    return [f"the films of {some} are HDR and those of the other cameras are not, so their colours do not fit; export them as SDR"]
+            turned += [view] if index(path).turns and pose is not None else []
+    notes = []
+    if all(wide.values()):
+        notes.append(f"the films of {', '.join(wide[True][:6])} are HDR and those of the other cameras are not, so their colours do not "
+                     "fit; export them as SDR")
+    if turned:
+        some = ", ".join(turned[:6]) + (" ..." if len(turned) > 6 else "")
+        notes.append(f"the films of {some} are marked as turned and are read upright, as players show them; their calibration must be of "
+                     "upright pictures")
+    return notes
 
 
 def _names(gaps: Sequence[tuple[str, int]], most: int = 4) -> list[str]:

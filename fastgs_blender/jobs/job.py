@@ -81,8 +81,8 @@ class State:
 
     @property
     def seconds_left(self) -> float | None:
-        """Estimated seconds of training that are left, None while there is no estimate."""
-        return self.values.get("seconds_left") if self.share > 0.02 else None
+        """Estimated seconds of training that are left, None while there is no estimate; the first steps tell too little."""
+        return self.values.get("seconds_left") if self.share > 0.02 or not self.share else None
 
     @property
     def share(self) -> float:

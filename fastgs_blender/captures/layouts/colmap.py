@@ -4,6 +4,7 @@
     sparse/0/{cameras,images,points3D}.{bin,txt}   or in sparse/, manual/ or the folder itself
     images/cam00/0001.png ...                      a rig: a folder, a video, or a folder with a video in it, per camera; the model needs one
                                                    picture of each camera
+    films/cam00.mp4 ...                            or the films lie elsewhere in the folder, called like that picture or like its folder
     images/a.png, images/b.png ...                 a moment: each picture is a view
     colmap_0/, colmap_1/ ...                       or a workspace for each frame (as Spacetime Gaussians prepares them)
 
@@ -17,20 +18,24 @@ from typing import Any
 
 import numpy as np
 
+from ...cameras import poses
 from ...cameras.colmap_files import ColmapImage, read_images, read_points
 from ...model.points import Points
-from ...util.errors import FastGSError
+from ...util.errors import FastGSError, printable
+from ..beside import films_of
 from ..capture import Capture, Options
-from ..pixels.sequences import film_of, films_in, frame_range, numbered_pictures, video_frames
+from ..pixels.sequences import film_called, film_of, films_in, frame_range, numbered_pictures, video_frames
 from ..rig_camera import RigCamera
 from ..rigs import Entry, check_count, from_entries, from_rig
-from ..sources import PICTURES, VIDEOS, Source
+from ..sources import PICTURES, Source
 from .prepared import frame_workspaces, model_place, timed
 
 name = "COLMAP"
 IMAGE_PLACES = ("images", "input", ".")
 STILL = 1e-6
 """Poses that differ by less are one."""
+NEAR = 0.02
+"""Turns in radians, and moves in shares of the rig's size, by which COLMAP's poses of one camera on a tripod may differ."""
 
 
 def recognises(path: Path) -> bool:
@@ -91,11 +96,19 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
     top = _folder_of(path, images)
     points = read_points(model)
     streams = [_stream(top, image) or _stream(path, image) for image in images]
+    if all(stream is None or _is_picture(stream) for stream in streams):
+        streams = _elsewhere(path, model, images) or streams
+    walks = _walks(images, streams)
+    streams = [None if stream in walks else stream for stream in streams]
     if options.scan:
         images = [image for image, stream in zip(images, streams) if stream is None]
         if not images:
             raise FastGSError(f"{path}: all of its pictures belong to films; a scan needs photographs of the place.")
     if options.scan or not any(streams):
+        if not any((top / image.name).exists() for image in images):
+            raise FastGSError(f"{path}: none of the {len(images)} pictures that COLMAP used is there (such as "
+                              f"{printable(images[0].name)}), and no films are called like them; copy the pictures to "
+                              f"{top.name}, or call each film like its picture.")
         return _moment(path, images, top, points, options)
     names = _names([stream for stream in streams if stream is not None])
     views: dict[str, tuple[Path, list[ColmapImage]]] = {}
@@ -114,6 +127,9 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
         else:
             pictures, rate = video_frames(film, faults, lens=registered[0].camera.lens, intrinsics=registered[0].camera.intrinsics)
             fps = fps or rate
+            if len(registered) > 1:
+                notes.append(f"{view} is taken to stand still: of its {len(registered)} poses that of {registered[0].name} is used")
+                registered = registered[:1]
         if _stands_still(registered):
             cameras.append(RigCamera(view, pictures, registered[0].world_to_camera))
             continue
@@ -138,14 +154,50 @@ def _stream(top: Path, image: ColmapImage) -> Path | None:
     beside, inside = (top / own).parent, len(own.parts) > 1
     if inside and _is_sequence(beside, own):
         return beside
-    for candidate in (own.stem, re.sub(r"[_-]?\d+$", "", own.stem) if re.search(r"\D[_-]\d+$", own.stem) else own.stem):
+    for candidate in (own.stem, _without_number(own)):
         folder = beside / candidate
         if folder.is_dir() and (_is_sequence(folder, own) or films_in(folder)):
             return folder
-        video = next((p for suffix in VIDEOS for p in (Path(f"{folder}{suffix}"), Path(f"{folder}{suffix.upper()}")) if p.is_file()), None)
+        video = film_called(beside, candidate)
         if video is not None:
             return beside if inside and films_in(beside) == [video] else video
     return beside if inside and beside.is_dir() and films_in(beside) else None
+
+
+def _without_number(own: Path) -> str:
+    """cam00_0001.png -> cam00; cam00.png -> cam00"""
+    return re.sub(r"(?<=.)[_-]\d+$", "", own.stem)
+
+
+def _elsewhere(path: Path, model: Path, images: Sequence[ColmapImage]) -> list[Path | None]:
+    """The films of registered pictures in whatever folder of the workspace: called like the picture, without its number, or like its
+    folder.  One alone is no rig: none."""
+    for named in (lambda own: own.stem, _without_number, lambda own: own.parent.name):
+        names = [named(Path(image.name)) for image in images]
+        found = films_of([called for called in dict.fromkeys(names) if called], model / "images", path, exact=True)[0]
+        if len(found) > 1:
+            return [found.get(called) for called in names]
+    return []
+
+
+def _walks(images: Sequence[ColmapImage], streams: Sequence[Path | None]) -> set[Path]:
+    """The films whose registered pictures were taken from different places: those pictures are photographs of the place."""
+    centres = np.array([poses.inverse(image.world_to_camera)[:3, 3] for image in images])
+    size = np.ptp(centres, axis=0).max() + 1e-9
+    first: dict[Path, int] = {}
+    apart = set()
+    for k, stream in enumerate(streams):
+        if stream is not None and film_of(stream).is_file():
+            begin = first.setdefault(stream, k)
+            turn = np.abs(images[k].world_to_camera[:3, :3] - images[begin].world_to_camera[:3, :3]).max()
+            if max(turn, np.abs(centres[k] - centres[begin]).max() / size) > NEAR:
+                apart.add(stream)
+    return apart
+
+
+def _is_picture(stream: Path) -> bool:
+    """Whether a camera's folder holds a single picture, as those that are taken from films for COLMAP."""
+    return stream.is_dir() and not films_in(stream) and len(numbered_pictures(stream)) < 2
 
 
 def _names(streams: Sequence[Path]) -> dict[Path, str]:

@@ -23,11 +23,11 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import open_file, read_json
 from ..capture import MASKS, Capture, Options
-from ..pixels.sequences import film_of, numbered_pictures, video_frames
+from ..pixels.sequences import Unreadable, film_called, film_of, numbered_pictures, video_frames
 from ..point_files import load_points
 from ..rig_camera import RigCamera
 from ..rigs import check_count, from_rig
-from ..sources import COLOURS, VIDEOS, Source
+from ..sources import COLOURS, Source
 
 name = "fast-gs capture"
 FORMAT, VERSION = "fast-gs capture", 1
@@ -94,9 +94,10 @@ def _camera(folder: Path, entry: dict, where: str, count: int, start: int, colou
     given = poses.intrinsics(where, *(poses.needed(entry, key, where) for key in ("fx", "fy", "cx", "cy", "width", "height")))
     settings = dict(lens=lens, intrinsics=given)
     place = folder / called
-    beside_it = (folder / (called + suffix) for suffix in VIDEOS)
-    video = film_of(place) if place.is_dir() else next((video for video in beside_it if video.is_file()), place)
+    video = film_of(place) if place.is_dir() else film_called(folder, called) or place
     pictures: Sequence[Source | None]
+    if not video.exists():
+        faults.append(Unreadable(f"there is no folder and no video called {called} beside {FILE}"))
     if not video.is_file():
         pictures = _numbered(folder / called, count, start, colour=colour, **settings)
     else:

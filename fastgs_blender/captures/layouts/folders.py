@@ -6,15 +6,14 @@ Recognised last.  The capture has no poses until posing.with_cameras() gives the
 from pathlib import Path
 
 from ...util.errors import FastGSError
-from ..beside import LATER, films
+from ..beside import LATER, NOT_CAMERAS, films
 from ..capture import Capture, Options
-from ..pixels.sequences import films_in, numbered_pictures, videos_in
+from ..pixels.sequences import films_in, holds_pictures, numbered_pictures, videos_in
 from ..rig_camera import RigCamera
 from ..rigs import from_rig
-from ..sources import PICTURES, Source
+from ..sources import Source
 
 name = "folders without poses"
-NOT_CAMERAS = ("masks", "mask")
 
 
 def recognises(path: Path) -> bool:
@@ -45,7 +44,7 @@ def _places(path: Path) -> dict[str, Path]:
     """The place of each camera's film by its name: folders, or the videos beside them where no two folders hold pictures."""
     videos = films_in(path) if videos_in(path) else []
     folders = sorted(p for p in path.iterdir() if _is_camera(p))
-    if len(videos) > 1 and sum(map(_holds_pictures, folders)) < 2:
+    if len(videos) > 1 and sum(map(holds_pictures, folders)) < 2:
         return {video.stem: video for video in videos}
     return {folder.name: folder for folder in folders}
 
@@ -53,8 +52,4 @@ def _places(path: Path) -> dict[str, Path]:
 def _is_camera(place: Path) -> bool:
     name = place.name.lower()
     return place.is_dir() and not name.startswith(".") and name not in NOT_CAMERAS and (
-        _holds_pictures(place) or (bool(films_in(place)) and not any(word in name for word in LATER)))
-
-
-def _holds_pictures(folder: Path) -> bool:
-    return any(p.suffix.lower() in PICTURES and any(c.isdigit() for c in p.stem) for p in folder.iterdir())
+        holds_pictures(place) or (bool(films_in(place)) and not any(word in name for word in LATER)))

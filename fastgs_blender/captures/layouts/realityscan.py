@@ -12,7 +12,7 @@ a camera that looks down.  The division model is x' = x (1 + k1 |x'|^2), and is 
 """
 import csv
 import io
-from pathlib import Path
+from pathlib import Path, PureWindowsPath
 
 import numpy as np
 
@@ -67,7 +67,7 @@ def _table(file: Path) -> list[opencv.Calibrated]:
         place = poses.near(np.array([value["x"], value["y"], value["alt"]]), where)
         lens = _lens("brown4t2", [value[key] for key in COEFFICIENTS], value["f"], where)
         pose = poses.from_opengl(rotations.transform(heading @ pitch @ roll, place))
-        found.append(_calibrated(Path(row["name"]).stem, value["f"], value["px"], value["py"], 1.0, lens, pose, where))
+        found.append(_calibrated(PureWindowsPath(row["name"]).stem, value["f"], value["px"], value["py"], 1.0, lens, pose, where))
     return found
 
 

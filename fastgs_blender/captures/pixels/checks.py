@@ -3,6 +3,7 @@
 from collections import Counter
 from pathlib import Path
 
+from ...cameras.opencv import UNTURN, turned
 from ...util.errors import FastGSError
 from ..capture import Capture, Shot, by_view
 from ..rigs import ranges
@@ -53,7 +54,7 @@ def _view_problems(view: str, shots: list[Shot], sizes: Counter, capture: Captur
         if mask is not None and (mask.width, mask.height) != size:
             masks.setdefault(((mask.width, mask.height), size), []).append(shot.frame + start)
     found = [f"{view} has pictures of {_text(size)} pixels where its calibration is for {_text(want)} (frames {ranges(frames)})"
-              for (size, want), frames in wrong.items()]
+             f"{f': {UNTURN}' if turned(size, want) else ''}" for (size, want), frames in wrong.items()]
     found += [f"{view} has masks of {_text(size)} pixels for pictures of {_text(want)} (frames {ranges(frames)})"
               for (size, want), frames in masks.items()]
     still = len({id(shot.camera) for shot in shots}) == 1

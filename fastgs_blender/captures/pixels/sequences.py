@@ -40,9 +40,19 @@ def numbered_pictures(folder: Path) -> dict[int, Path]:
     return found
 
 
+def holds_pictures(folder: Path) -> bool:
+    """Whether a folder holds pictures with numbers."""
+    return any(p.suffix.lower() in PICTURES and any(c.isdigit() for c in p.stem) for p in folder.iterdir())
+
+
 def videos_in(folder: Path) -> list[Path]:
     """The videos that lie in a folder."""
     return sorted(p for p in folder.iterdir() if p.suffix.lower() in VIDEOS and p.is_file() and not p.name.startswith("."))
+
+
+def film_called(folder: Path, name: str) -> Path | None:
+    """The video of that name in a folder, with whichever ending, which cameras write in capital letters."""
+    return next((p for ending in VIDEOS for p in (folder / f"{name}{ending}", folder / f"{name}{ending.upper()}") if p.is_file()), None)
 
 
 def films_in(folder: Path) -> list[Path]:

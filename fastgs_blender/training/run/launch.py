@@ -95,9 +95,10 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             if about:
                 note(about)
             backend = "cpu" if backend == "auto" else backend
-            with estimated("training", _seconds(capture, plan.settings) if backend == "cpu" and not resume else 0.0, note):
+            seconds = _seconds(capture, plan.settings) if backend == "cpu" and not resume else 0.0
+            with estimated("training", seconds, note):
                 return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,
-                                   backend=backend)
+                                   backend=backend, forecast=seconds)
         finally:
             release(out)
 

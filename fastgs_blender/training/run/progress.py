@@ -17,7 +17,7 @@ import numpy as np
 from ...captures.capture import Shot
 from ...util.errors import FastGSError
 from ...util.outputs import appending, writing
-from ...util.progress import progress
+from ...util.progress import clock_text, progress
 from ...util.reading import parse_json, read_bytes
 from . import checkpoint
 from .files import BOARD, LOG, PLOT, PREVIEWS, STATUS
@@ -38,6 +38,7 @@ class Reporter:
 
     folder      where the files go
     iterations  of the whole run; begin: those already done, elapsed: the seconds that they took
+    forecast    seconds that the whole run is expected to take, by which the time left is told before steps are timed; 0: unknown
     quiet       neither progress nor remarks; what goes wrong is told
     clock       gives the time in seconds from any beginning
     device      what trains, for people
@@ -46,8 +47,8 @@ class Reporter:
     device = ""
 
     def __init__(self, folder: Path, iterations: int, begin: int = 0, elapsed: float = 0.0, quiet: bool = False,
-                 clock: Callable[[], float] = time.monotonic) -> None:
-        self.folder, self.iterations = Path(folder), iterations
+                 clock: Callable[[], float] = time.monotonic, forecast: float = 0.0) -> None:
+        self.folder, self.iterations, self.forecast = Path(folder), iterations, forecast
         self.clock = clock
         self.before, self.started, self.begin = elapsed, clock(), begin
         self.timed: tuple[int, float] | None = None
@@ -72,6 +73,14 @@ class Reporter:
             return 0.0
         iteration, begun = self.timed
         return (self.last["iteration"] - iteration) / max(self.clock() - begun, 1e-9)
+
+    @property
+    def left(self) -> float | None:
+        """Seconds until the last step: by the pace of steps or, before the first one, by the forecast; None where neither is known."""
+        done = self.last.get("iteration", self.begin)
+        if self.speed > 0:
+            return (self.iterations - done) / self.speed
+        return max(self.forecast - self.elapsed, 0.0) or None if done == self.begin else None
 
     def say(self, text: str) -> None:
         """A remark; not shown where the run is quiet."""
@@ -101,6 +110,8 @@ class Reporter:
         with progress(1, unit, what, quiet=self.quiet, clock=self.clock) as bar:
 
             def report(done: int, of: int) -> None:
+                if self.left:
+                    bar.note(f"{clock_text(self.left)} until all steps are done")
                 bar.to(done, of)
                 if done in (0, of) or self.clock() - self.status_time > STATUS_SECONDS:
                     self.status("preparing", stage=what, stage_share=round(done / max(of, 1), 3))
@@ -129,10 +140,7 @@ class Reporter:
     def status(self, state: str, **values: Any) -> None:
         """status.json: state is preparing, training, stopped, failed or finished."""
         self.state, self.status_time = state, self.clock()
-        values = {**self.last, **values}
-        done = values.get("iteration", self.begin)
-        speed = self.speed
-        left = (self.iterations - done) / speed if speed > 0 else None
+        values, left = {**self.last, **values}, self.left
         about = {"state": state, "process": os.getpid(), "device": self.device, "iterations": self.iterations, **values, **self.smooth,
                  "elapsed_seconds": round(self.elapsed, 2), "seconds_left": None if left is None else round(left, 1)}
         self._safely("the status file", lambda: checkpoint.write_json(self.folder / STATUS, finite(about)))

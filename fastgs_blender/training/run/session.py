@@ -51,11 +51,11 @@ MEMORY = 768 << 20
 
 
 def run(capture: Capture, store: Any, plan: Plan, out: str | Path, *, quiet: bool = False, reporter_type: type[Reporter] = Reporter,
-        backend: str = "cpu", processes: Processes | None = None) -> dict:
+        backend: str = "cpu", processes: Processes | None = None, forecast: float = 0.0) -> dict:
     """Train, or continue, the run in a folder; returns the report.
 
     capture, store  see captures.capture; plan  what plan.begin() gave; backend  its name (util/backends.py)
-    processes       those that take the steps together
+    processes       those that take the steps together; forecast: seconds that the run is expected to take, 0: unknown
     Raises Stopped after Ctrl-C or SIGTERM, with everything saved, and FastGSError.  A run that fails before its first checkpoint leaves
     no plan behind, so that the corrected one can start.
     """
@@ -68,7 +68,7 @@ def run(capture: Capture, store: Any, plan: Plan, out: str | Path, *, quiet: boo
     plans.write(out, plan)
     steps = [settings.of_segment(k).iterations for k in range(len(cuts))]
     done, elapsed = progress_so_far(out, steps)
-    reporter = reporter_type(out, sum(steps), done, elapsed, quiet)
+    reporter = reporter_type(out, sum(steps), done, elapsed, quiet, forecast=forecast)
     reporter.device = describe_backend(backend)
     try:
         with StopFlag() as stop:

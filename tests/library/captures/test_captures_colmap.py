@@ -2,6 +2,7 @@
 """COLMAP workspaces: text and binary, rigs, moments, a workspace for each frame, all camera models."""
 from __future__ import annotations
 
+import shutil
 import struct
 from pathlib import Path
 
@@ -128,6 +129,58 @@ def test_films_in_folders(tmp_path, tmp_path_factory):
     capture = open_capture(tmp_path)
     assert capture.clip == fg.Clip(3, 60, 0)
     RIG.check(capture, tmp_path_factory.mktemp("cache"), ["left/one", "right/one", "two"])
+
+
+@pytest.mark.parametrize(("registered", "film"), [
+    ("{}.png", "films/{}.mp4"), ("{}/frame_0001.png", "films/{}.MP4"), ("{}_0001.jpg", "my films/{}.MOV"),
+    ("{}.png", "films/{}/DCIM/100GOPRO/GX010010.MP4")])
+def test_films_beside_the_pictures_that_colmap_used(tmp_path, tmp_path_factory, registered, film):
+    """In a folder of their own, with the pictures or without them, and with photographs of a walk."""
+    for i, name in enumerate(NAMES):
+        place = tmp_path / film.format(name)
+        RIG.write_video(place.parent / "film.mp4", i, fps=60)
+        (place.parent / "film.mp4").rename(place)
+        RIG.write_picture(tmp_path / "images" / registered.format(name), i, 0)
+    RIG.write_picture(tmp_path / "images" / "IMG_7.png", 1, 0)
+    write_model(tmp_path / "sparse/0", [*(registered.format(name) for name in NAMES), "IMG_7.png"], which=[0, 1, 2, 1])
+    assert open_scan(tmp_path).views == ["IMG_7"]
+    for _ in range(2):
+        capture = open_capture(tmp_path)
+        assert capture.clip == fg.Clip(3, 60, 0) and "IMG_7" in capture.notes[0]
+        RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
+        shutil.rmtree(tmp_path / "images", ignore_errors=True)
+
+
+def test_pictures_that_are_gone_are_one_sentence(tmp_path):
+    """Without them, and without two films that are called like them, nothing can be shown."""
+    RIG.write_video(tmp_path / "films" / "cam00.mp4", 0)
+    write_model(tmp_path / "sparse/0", [f"{name}.png" for name in NAMES])
+    with pytest.raises(fg.FastGSError, match=r"cam00\.png.*copy the pictures.*film"):
+        open_capture(tmp_path)
+
+
+def test_a_film_with_several_registered_pictures_stands_still(tmp_path):
+    """COLMAP gives each of its pictures a pose of its own, which differ a little."""
+    rig = SpotRig(SIMPLE, cameras=3, frames=3, sigma=2.5)
+    for i, name in enumerate(NAMES):
+        rig.write_video(tmp_path / "films" / f"{name}.mp4", i)
+    rig.poses = [pose for pose in rig.poses for _ in range(2)]
+    rig.poses[1] = rig.poses[0] + np.eye(4)[:, [3, 0, 1, 2]] * [1e-3, 0, 0, 0]
+    write_model(tmp_path / "sparse/0", [f"{name}_{number:04}.png" for name in NAMES for number in (1, 90)], rig)
+    capture = open_capture(tmp_path)
+    assert len(capture) == 9 and sum("stand still" in note for note in capture.notes) == 3
+    np.testing.assert_allclose(capture.shots[0].camera.world_to_camera, rig.poses[0], atol=1e-9)
+
+
+def test_pictures_of_a_film_of_a_walk_are_photographs(tmp_path):
+    """A phone's film of the place, of which pictures were taken for COLMAP, beside the films of a rig."""
+    for i, name in enumerate(NAMES):
+        RIG.write_video(tmp_path / "images" / f"{name}.mp4", i)
+        RIG.write_picture(tmp_path / "images" / f"walk_{i + 1:04}.png", i, 0)
+    RIG.write_video(tmp_path / "images" / "walk.mp4", 0)
+    write_model(tmp_path / "sparse/0", [*(f"{name}.png" for name in NAMES), *(f"walk_{i + 1:04}.png" for i in range(3))],
+                which=[0, 1, 2, 0, 1, 2])
+    assert open_capture(tmp_path).views == NAMES and open_scan(tmp_path).views == [f"walk_{i + 1:04}" for i in range(3)]
 
 
 def test_a_workspace_for_each_frame(tmp_path, tmp_path_factory):

@@ -53,6 +53,18 @@ def test_pictures(capture_folder, tmp_path_factory):
     RIG.check(open_capture(capture_folder / "cameras.json"), tmp_path_factory.mktemp("cache"), NAMES)
 
 
+def test_films_that_are_not_beside_the_description_are_told(tmp_path):
+    """Every camera that has neither a folder nor a film there, whose ending may be in capital letters."""
+    describe(tmp_path)
+    for i, name in enumerate(NAMES):
+        RIG.write_video(tmp_path / "films" / f"{name}.mp4", i)
+    with pytest.raises(fg.FastGSError, match="called cam00 beside"):
+        open_capture(tmp_path)
+    for name in NAMES:
+        (tmp_path / "films" / f"{name}.mp4").rename(tmp_path / f"{name}.MP4")
+    assert not problems(open_capture(tmp_path))
+
+
 def test_half_size_is_the_mean_of_four_pixels(capture_folder, tmp_path_factory):
     capture = open_capture(capture_folder, scale=0.5)
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)

@@ -122,6 +122,17 @@ def test_a_table_of_realityscan(tmp_path, tmp_path_factory):
     np.testing.assert_allclose(turn, [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-9)  # level, looking east: south is at its right
 
 
+def test_films_beside_photographs_of_a_walk(tmp_path, tmp_path_factory):
+    """Pictures taken from films lie among photographs with the same numbers; the table has whole paths, as RealityCapture may write."""
+    films(tmp_path / "films", SQUARE)
+    for name in (*NAMES, "IMG_0001", "IMG_0002"):
+        SQUARE.write_picture(tmp_path / "images" / f"{name}.jpg", 0, 0)
+    table(tmp_path, SQUARE)
+    file = tmp_path / "cameras.csv"
+    file.write_text(file.read_text().replace("cam0", "C:\\place\\cam0"))
+    SQUARE.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES, WORLD)
+
+
 def test_metadata_of_realityscan(tmp_path, tmp_path_factory):
     films(tmp_path, SQUARE)
     for i, name in enumerate(NAMES):

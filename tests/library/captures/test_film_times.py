@@ -7,7 +7,10 @@ from fractions import Fraction
 import numpy as np
 import pytest
 
+from fastgs_blender.cameras.lens import Lens
+from fastgs_blender.cameras.opencv import Calibrated
 from fastgs_blender.captures import film_times, open_capture
+from fastgs_blender.captures.layouts.fastgs import write_cameras
 from fastgs_blender.captures.pixels import video
 from fastgs_blender.captures.pixels.checks import problems
 from fastgs_blender.util.errors import FastGSError
@@ -97,6 +100,24 @@ def test_a_turned_film_is_read_as_players_show_it(tmp_path, quarters):
     ((_, picture),) = video.frames(path, [1])
     assert (found.width, found.height) == (48, 32) and picture.shape == (32, 48, 3)
     assert picture[2:6, 2:10].min() > 200 and picture[16:].max() < 20 and picture[:, 24:].max() < 20
+
+
+@pytest.mark.parametrize(("quarters", "words"), [(1, "display_rotation 0"), (2, "")])
+def test_a_calibration_of_unturned_pictures_is_told(tmp_path, quarters, words):
+    """Films are read upright, which is said: by a quarter turn sizes show that the calibration is not, by half a turn nothing does."""
+    cameras = [dict(name=name, width=48, height=32, fx=40, fy=40, cx=24, cy=16, world_to_camera=np.eye(4)) for name in "ab"]
+    write_cameras(tmp_path, cameras, frame_count=2, fps=25)
+    for name in "ab":
+        turn_tag(film(tmp_path / f"{name}.MP4", [0, 0.04], brightness), quarters)
+    capture = open_capture(tmp_path)
+    assert len(capture.notes) == 1 and "of a, b" in capture.notes[0] and "turned" in capture.notes[0]
+    found = problems(capture)
+    assert len(found) == (2 if words else 0) and all(words in problem for problem in found)
+    camera = Calibrated("a", np.eye(3), Lens(), np.eye(4), (48, 32))
+    with pytest.raises(FastGSError, match="display_rotation 0"):
+        camera.intrinsics((32, 48), "a.mp4")
+    with pytest.raises(FastGSError, match="cropped"):
+        camera.intrinsics((48, 20), "a.mp4")
 
 
 def test_hdr_films_beside_others_are_told(tmp_path):

@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from fastgs_blender.jobs.job import read_status
+from fastgs_blender.jobs.job import State, read_status
 from fastgs_blender.jobs.queue import _preparing
 from fastgs_blender.training.run import progress
 
@@ -41,6 +41,25 @@ def test_time_left_does_not_count_compiling(tmp_path, clock, begin, monkeypatch)
     assert left() == pytest.approx(3 * steps)
     assert f"<{3 * steps // 60:02d}:{3 * steps % 60:02d}" in str(reporter.bar.bar)
     assert reporter.elapsed == pytest.approx(7 * begin + 90 + 378), "what has passed is told in full"
+    reporter.close()
+
+
+def test_time_left_before_the_first_step_is_the_forecast_s(tmp_path, clock, capsys):
+    """That of the whole run, with all that comes before its steps; a stage's own bar tells how long the stage takes."""
+    reporter = progress.Reporter(tmp_path, 100, clock=lambda: clock.now, forecast=300.0)
+    with reporter.stage("finding starting points") as report:
+        for done in range(5):
+            report(done, 8)
+            clock.now += 10
+        found = json.loads((tmp_path / progress.STATUS).read_text("utf-8"))
+        assert found["seconds_left"] == 260
+    assert "4:20 until all steps are done" in capsys.readouterr().err
+    assert State("PREPARING", "", found).seconds_left == 260
+    for iteration in (1, 2, 3, 4):
+        clock.now += 2
+        reporter.step({"iteration": iteration, "loss": 0.1, "psnr": 20.0, "gaussians": 5})
+    reporter.status("training")
+    assert json.loads((tmp_path / progress.STATUS).read_text("utf-8"))["seconds_left"] == 192
     reporter.close()
 
 
