@@ -53,7 +53,7 @@ def test_time_left_before_the_first_step_is_the_forecast_s(tmp_path, clock, caps
             clock.now += 10
         found = json.loads((tmp_path / progress.STATUS).read_text("utf-8"))
         assert found["seconds_left"] == 260
-    assert "4:20 until all steps are done" in capsys.readouterr().err
+    assert ", 4:20 until" in capsys.readouterr().err
     assert State("PREPARING", "", found).seconds_left == 260
     for iteration in (1, 2, 3, 4):
         clock.now += 2
