@@ -23,22 +23,25 @@ VARIABLE = "FASTGS_COMPILE_ASIDE"
 """The environment variable that says so to the second process."""
 _process: subprocess.Popen | None = None
 
-# Compiled code refers to its modules by name, so they must have the names there that they have here.  What else an extension
-# consists of cannot be imported without Blender: empty packages stand for it.
+# Compiled code refers to its modules by name, so they must have the names there that they have here, and the same files, wherever Python
+# would look.  What else an extension consists of cannot be imported without Blender: empty packages stand for it.
 _CHILD = """
-import importlib, sys, types
-package, root, program, work = sys.argv[1:]
-names = package.split(".")
-for i in range(1, len(names) - 2):
-    module = sys.modules[".".join(names[:i])] = types.ModuleType(names[i - 1])
-    module.__path__ = [root] if i == len(names) - 3 else []
+import importlib.util, os, sys, types
+package, folder, program, work = sys.argv[1:]
+names = package.split(".")[:-2]
+for i in range(1, len(names)):
+    sys.modules[".".join(names[:i])] = types.ModuleType(names[i - 1])
+file = os.path.join(folder, "__init__.py")
+spec = importlib.util.spec_from_file_location(".".join(names), file, submodule_search_locations=[folder])
+library = sys.modules[spec.name] = importlib.util.module_from_spec(spec)
+spec.loader.exec_module(library)
 importlib.import_module(f"{package}.{program}").WORK[work]()
 """
 
 
 def command(work: str) -> list[str]:
     """The command line of a process that does a work of warm.py, with modules of the same names and files as here."""
-    return [sys.executable, "-c", _CHILD, __package__, str(Path(__file__).parents[3]), "warm", work]  # warm.py imports this module
+    return [sys.executable, "-c", _CHILD, __package__, str(Path(__file__).parents[2]), "warm", work]  # warm.py imports this module
 
 
 def environment() -> dict[str, str]:
