@@ -64,10 +64,11 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
 
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
-    against = no is not None and bool(no.any())
+    no = np.zeros_like(yes) if no is None else no
+    against = bool(no.any())
     other = _other(model, yes) if against else np.zeros(len(model))
     rest = REST * (1 + OTHER * other)
-    side = yes.astype(np.float32) - (0 if no is None else no)
+    side = yes.astype(np.float32) - no
     found = joins(model)
     order, (i, j) = hilbert_order(model.position), found.ends.T
     weight, degree = found.held(len(model))
@@ -88,7 +89,7 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
         torn = weight[alone[i] != alone[j]].sum() / degree[alone].sum()
         whole = thing.all() or thing.mean() < LARGEST
         return thing if whole and torn > TORN and ratio[best] < CLEAN * torn else alone
-    thing = spanned(found, yes, thing, may, other < 0.5)
+    thing = spanned(found, yes, no, thing, may, other < 0.5)
     return continued(found, positions_at(model, 0.5), thing, may)
 
 

@@ -3,8 +3,8 @@
 
 Two strokes alone do not say whether a cup belongs to its tray, or a head to its torso.  But a stroke over a torso and a thigh crosses a
 border of colours, and so do the borders to head and arms not end the thing.  One over a cup crosses none.  A stroke over a car's body
-that touches a wheel crosses colours too, if the cut has found that wheel.  Motion stays a border: limbs keep a common point, where they
-hardly move against each other, and two things that pass do not.
+that touches a wheel crosses colours too, if the cut has found that wheel.  Motion stays a border for what is added: limbs keep a common
+point, where they hardly move against each other, and two things that pass do not.
 
 Where a stroke crosses no colours, the border itself may tell (continued()).  Where a thing goes on in another colour, as a painted ball
 does, its two sides lie opposite to each other.  Things that touch lie side by side there, or one on the other.
@@ -22,20 +22,21 @@ ANOTHER = 0.5 * MOST_TINT
 SIZE = 0.5
 """The largest piece that is added, as a share of the Gaussians of what it hangs on."""
 LEFT, LARGE = 0.12, 2.0
-"""A piece of one colour in which so large a share of the stroke lies belongs to the thing though the cut left it out: a large part that
-the stroke crosses is pulled less than a small one.  At most it is so many times as large as the thing."""
+"""A piece of one colour that hangs on the thing belongs to it though the cut left it out, if so large a share of the stroke lies in it, and
+more than of the strokes over the rest: a large part that the stroke crosses is pulled less than a small one, and so is a foot on a denied
+floor.  At most it is so many times as large as the thing."""
 FEW = 8
 """The fewest Gaussians of a piece of the thing that tells of another colour, if a Gaussian of the stroke lies in it."""
 ON = 0.1
 """How far at least the two sides of a border lie opposite to each other, if a thing goes on there: 0 side by side, about 0.2 painted."""
 
 
-def spanned(found: Joins, yes: np.ndarray, thing: np.ndarray, may: np.ndarray, like: np.ndarray) -> np.ndarray:
+def spanned(found: Joins, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, may: np.ndarray, like: np.ndarray) -> np.ndarray:
     """A thing [N] bool, with what of its stroke the cut left out, and the pieces of other colours that hang on it alone, if its stroke
     crosses colours.
 
-    yes   [N] bool, Gaussians of the stroke
-    may   [N] bool, what strokes leave open or call the thing; a piece with any other Gaussian in it is not added
+    yes   [N] bool, Gaussians of the stroke; no [N] bool, of strokes over what does not belong to the thing
+    may   [N] bool, what strokes leave open or call the thing; a piece with any other Gaussian in it is not added, unless strokes go over it
     like  [N] bool, what has a colour of the stroke: such pieces are found first, by the joins among these alone
     """
     from ..kernels.cpu.walk import pieces  # it brings numba, which enabling the add-on must not
@@ -43,28 +44,27 @@ def spanned(found: Joins, yes: np.ndarray, thing: np.ndarray, may: np.ndarray, l
     (i, j), count = found.ends.T, len(yes)
     firm = (found.near <= NEAR) & (found.drift <= STILL)
     plain = firm & (found.tint <= ANOTHER)
-    piece = pieces(count, found.ends[plain & ~thing[i] & ~thing[j]])
-    left = np.bincount(piece, yes & ~thing, count) >= max(LEFT * yes.sum(), 1)
-    left &= (np.bincount(piece, minlength=count) <= LARGE * thing.sum()) & (np.bincount(piece, ~may, count) == 0)
-    thing = thing | left[piece]
+
+    def beyond(within: np.ndarray, across: np.ndarray, largest: float) -> tuple[np.ndarray, np.ndarray]:
+        """The piece of each Gaussian beyond the thing, by the joins `within`; and which pieces hang on it, by those across its border."""
+        piece, hangs = pieces(count, found.ends[within & ~thing[i] & ~thing[j]]), np.zeros(count, bool)
+        hangs[piece[np.where(thing[i], j, i)[across & (thing[i] != thing[j])]]] = True
+        return piece, hangs & (np.bincount(piece, minlength=count) <= largest * thing.sum())
+
+    piece, hangs = beyond(plain, firm, LARGE)
+    said, denied = (np.bincount(piece, each & ~thing, count) / max(each.sum(), 1) for each in (yes, no))
+    thing = thing | (hangs & (said >= LEFT) & (said > denied))[piece]
     stroke = np.flatnonzero(yes & may)
-
-    def one(joined: np.ndarray) -> bool:
-        return np.bincount(pieces(count, found.ends[joined & may[i] & may[j]])[stroke]).max() >= MOST * len(stroke)
-
-    if not len(stroke) or not one(firm):
+    if not len(stroke):
         return thing
+    held = np.bincount(pieces(count, found.ends[plain & may[i] & may[j]])[stroke]).max()
     own = pieces(count, found.ends[plain & thing[i] & thing[j]])
     several = (np.bincount(own, minlength=count) >= FEW) & (np.bincount(own, yes & thing, count) > 0)
-    if one(plain) and several.sum() < 2:
+    if held >= MOST * len(stroke) and several.sum() < 2:
         return thing
     for joined in firm & like[i] & like[j], firm:
-        piece = pieces(count, found.ends[joined & ~thing[i] & ~thing[j]])
-        edge = joined & (thing[i] != thing[j])
-        hangs = np.zeros(count, bool)
-        hangs[piece[np.where(thing[i], j, i)[edge]]] = True
-        hangs &= (np.bincount(piece, minlength=count) <= SIZE * thing.sum()) & (np.bincount(piece, ~may, count) == 0)
-        thing = thing | hangs[piece]
+        piece, hangs = beyond(joined, joined, SIZE)
+        thing = thing | (hangs & (np.bincount(piece, ~may, count) == 0))[piece]
     return thing
 
 

@@ -126,7 +126,7 @@ RED, BLUE, HEAD = range(10), range(10, 20), range(20, 24)
 
 def chain(parted=(), **changed) -> np.ndarray:
     """What spanned() makes of a thing of 20 in a chain of 40, of which a join at 23 and those of `parted` move; changed: its arguments."""
-    rows = dict(yes=range(8, 12), thing=[*RED, *BLUE], may=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE]) | changed
+    rows = dict(yes=range(8, 12), no=[], thing=[*RED, *BLUE], may=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE]) | changed
     first = np.arange(39, dtype=np.int32)
     drift, tint = (np.where(np.isin(first, at), most, 0.0) for at, most in (((23, *parted), 12.0), ((9, 19), 6.0)))
     found = Joins(np.stack([first, first + 1], 1), np.ones(39), drift, tint)
@@ -134,11 +134,12 @@ def chain(parted=(), **changed) -> np.ndarray:
 
 
 @pytest.mark.parametrize("changed", [
-    dict(yes=range(6, 10)), dict(parted=[19]), dict(parted=[9]), dict(may=[*RED, *BLUE, *HEAD[1:]]), dict(thing=range(7, 13)),
-    dict(yes=[])], ids=["a stroke of one colour", "what moves", "a stroke over both", "the other side's", "what is large", "no stroke"])
+    dict(yes=range(6, 10)), dict(parted=[19]), dict(may=[*RED, *BLUE, *HEAD[1:]]), dict(thing=range(7, 13)), dict(yes=[])],
+    ids=["a stroke of one colour", "what moves", "the other side's", "what is large", "no stroke"])
 def test_what_hangs_on_a_thing_is_not_added(changed):
-    """But the head is, for a stroke across colours."""
-    assert np.flatnonzero(chain()).tolist() == [*RED, *BLUE, *HEAD]
+    """But the head is, for a stroke across colours, whether or not its thing moves in itself there."""
+    for parted in [], [9]:
+        assert np.flatnonzero(chain(parted)).tolist() == [*RED, *BLUE, *HEAD]
     assert np.flatnonzero(chain(**changed)).tolist() == [*changed.get("thing", [*RED, *BLUE])]
 
 
@@ -149,9 +150,10 @@ def test_a_stroke_that_touches_another_colour_of_the_thing_crosses_colours():
 
 
 def test_what_a_good_part_of_a_stroke_crosses_belongs_to_the_thing():
-    """Though the cut left it out, unless the other side has some of it, or it is large."""
-    assert np.flatnonzero(chain(thing=RED)).tolist() == [*RED, *BLUE, *HEAD]
-    for changed in dict(may=[*RED, *BLUE[:9]]), dict(thing=range(6, 10)):
+    """Though the cut left it out, as it does a foot on a denied floor; unless the other stroke goes over it too, it is large or moves."""
+    for changed in {}, dict(may=[*RED, *HEAD]), dict(no=[*BLUE[4:6], *range(30, 40)]):
+        assert np.flatnonzero(chain(**dict(thing=RED) | changed)).tolist() == [*RED, *BLUE, *HEAD]
+    for changed in dict(no=BLUE[4:6]), dict(thing=range(6, 10)), dict(parted=[9]):
         assert set(BLUE).isdisjoint(np.flatnonzero(chain(**dict(thing=RED) | changed)))
 
 
