@@ -1,7 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Clean Up: hides what spoils a capture beside its cameras, and shows at once what a slider changes."""
 import bpy
-import numpy as np
 from bpy.props import BoolProperty, FloatProperty, StringProperty
 
 from ..fastgs_blender.selecting.clean import KINDS, STRENGTH, clean
@@ -52,7 +51,7 @@ class FASTGS_OT_clean_up(Stepwise, _Kinds, bpy.types.Operator):
         own = selection.own(obj)
         found = {name: bits & own for name, bits in result.found.items()}
         self.counts = " ".join(f"{name}={bits.sum()}" for name, bits in found.items())
-        taken = np.any([*found.values(), np.zeros(len(own), bool)], 0)
+        taken = result.taken & own
         if self.select:
             return f"{selection.select(obj, taken):,} Gaussians selected"
         if self.show:

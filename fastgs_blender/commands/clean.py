@@ -41,7 +41,7 @@ def run(args: argparse.Namespace) -> None:
     if not isinstance(source, GaussianModel):
         raise FastGSError(f"{args.model} is a sequence, whose frames have other Gaussians each; fastgs convert makes one model of it.")
     refuse_existing([out, *formats.written_files(source, out)], args)
-    kinds = None if args.kinds is None else [name for name in args.kinds.split(",") if name]
+    kinds = None if args.kinds is None else args.kinds.split(",")
     with progress(STEPS, "step", "looking", quiet=args.quiet) as bar:
         found = clean(source, args.strength, kinds=kinds, progress=lambda share: bar.to(int(STEPS * share)))
     left = source.take(~found.taken)

@@ -85,7 +85,8 @@ KINDS: dict[str, Kind] = {
 class Cleaning:
     """What clean() proposes to hide of N Gaussians.
 
-    found     the Gaussians [N] bool by the kind, each under one of them
+    taken     all that had better be hidden, [N] bool
+    found     the same by the kind, each Gaussian under one of them
     loss      mean squared change of the cameras' pictures (colours 0..1) without all of it; None where the file knows no cameras
     unjudged  kinds that were asked for and cannot be judged, because the file knows no cameras
 
@@ -94,14 +95,10 @@ class Cleaning:
         fg.save(model.take(~proposed.taken), "clean.safetensors")
     """
 
+    taken: np.ndarray
     found: dict[str, np.ndarray]
     loss: float | None
     unjudged: tuple[str, ...]
-
-    @property
-    def taken(self) -> np.ndarray:
-        """All of it, [N] bool."""
-        return np.any(list(self.found.values()), axis=0)
 
 
 def clean(model: GaussianModel, strength: float = STRENGTH, *, kinds: Collection[str] | None = None,
@@ -136,19 +133,18 @@ def clean(model: GaussianModel, strength: float = STRENGTH, *, kinds: Collection
         if name in chosen and (cameras or not kind.cameras):
             found[name] = left & kind.find(evidence, strength) if strength else np.zeros(len(model), bool)
             left = left & ~found[name]
-    loss = None
+    taken, loss = np.any([*found.values(), np.zeros(len(model), bool)], 0), None
     if cameras:
-        allowed, loss = _allowed(model, found, evidence.sight.cost, strength)
-        found = {name: bits & allowed for name, bits in found.items()}
-    return Cleaning(found, loss, tuple(name for name in chosen if KINDS[name].cameras and not cameras))
+        taken, loss = _allowed(model, np.flatnonzero(taken), evidence.sight.cost, strength)
+        found = {name: bits & taken for name, bits in found.items()}
+    return Cleaning(taken, found, loss, tuple(name for name in chosen if KINDS[name].cameras and not cameras))
 
 
-def _allowed(model: GaussianModel, found: dict[str, np.ndarray], cost: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
-    """Which Gaussians [N] may be hidden of those found, the cheapest first, until the pictures would change too much; and that change.
+def _allowed(model: GaussianModel, taken: np.ndarray, cost: np.ndarray, strength: float) -> tuple[np.ndarray, float]:
+    """Which Gaussians [N] may be hidden of those taken [M], the cheapest first, until the pictures would change too much; and that change.
 
     What they change together is seen in pictures without them.  It may be more than the sum of what each changes.
     """
-    taken = np.flatnonzero(np.any([*found.values(), np.zeros(len(cost), bool)], 0))
     order = taken[np.argsort(cost[taken], kind="stable")]
     total = np.cumsum(cost[order], dtype=np.float64)
     low, high = LOSS

@@ -49,7 +49,7 @@ def test_the_strength_decides_how_much_and_what_the_pictures_may_lose(room):
 
 def test_kinds_are_chosen_and_wrong_ones_are_refused(room):
     assert set(fg.clean(room, 1.0, kinds=["haze"]).found) == {"haze"} and not fg.clean(room, 1.0, kinds=[]).found
-    assert not fg.clean(room, 1.0, kinds=[]).taken.any()
+    assert fg.clean(room, 1.0, kinds=[]).taken.tolist() == [False] * len(room)
     for strength in (-0.1, 1.5, float("nan"), "much"):
         with pytest.raises(fg.FastGSError, match="strength"):
             fg.clean(room, strength)
@@ -65,6 +65,7 @@ def test_without_cameras_floaters_and_colours_alone_are_judged():
     assert blind.found["floaters"][rows("floaters")].any() and blind.found["colours"][rows("colours")].all()
     assert not blind.taken[rows("wall")].any()
     assert fg.clean(dirty_room(fg, cameras=False), kinds=["colours"]).unjudged == ()
+    assert len(fg.clean(dirty_room(fg, cameras=False), kinds=["haze"]).taken) == WALL + 4 * EACH
 
 
 def test_the_backdrop_is_left_alone(room):
@@ -174,7 +175,7 @@ def test_the_command(run, tmp_path, room):
     told = json.loads(text)
     assert code == 0 and set(told["found"]) == {"haze", "colours"} and told["left"] == len(fg.load(out)) and told["unjudged"] == []
     assert 50 <= told["psnr_of_change"] < 90
-    for wrong in (("--strength", "2"), ("--kinds", "dust"), ("--threads", "0")):
+    for wrong in (("--strength", "2"), ("--kinds", "dust"), ("--kinds", ""), ("--threads", "0")):
         code, _, error = run("clean", source, tmp_path / "no.ply", *wrong)
         assert code == 2 and error.count("\n") == 1 and not (tmp_path / "no.ply").exists()
 
@@ -186,3 +187,5 @@ def test_the_command_says_what_it_cannot_judge(run, tmp_path):
     assert code == 0 and "unseen and haze" in error and "fastgs annotate" in error and "dB" not in text
     left = fg.load(tmp_path / "out.safetensors")
     assert len(left) == WALL + 4 * EACH - fg.clean(fg.load(source), 1.0).taken.sum()
+    assert run("clean", source, tmp_path / "same.safetensors", "--kinds", "haze")[0] == 0
+    assert len(fg.load(tmp_path / "same.safetensors")) == WALL + 4 * EACH
