@@ -6,11 +6,13 @@ is triangulated from a track's features in the other cameras, and projected into
 cameras see the same point.
 
 A camera is called wrong only if its error surely exceeds OFF (captures/evidence.py) and its own pose has no support: where things repeat,
-matches that are off by a whole tile may outnumber the others, but right poses still put some features exactly on their points.  Else it is
-unsure.
+matches that are off by a whole tile may outnumber the others, but right poses still put some features exactly on their points.  And right
+cameras must say so: a right one that only two wrong ones look at has large errors too.  Else it is unsure.
 """
+from collections import Counter
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from itertools import combinations
 
 import numpy as np
 
@@ -24,8 +26,10 @@ ENOUGH = 16
 """Least number of tracks for a camera's error to be trusted."""
 EXACT, AROUND = 1.0, 3.0
 """Errors in pixels of features that support a pose, and up to which others are counted that may lie there by chance."""
-MOST = 200
-"""Largest number of tracks that are evaluated for a camera."""
+MOST, MOST_TRIPLES = 200, 6000
+"""Largest number of tracks that are evaluated for a camera, and of points of three cameras."""
+FEW = 8
+"""Least number of points on which three cameras must agree to be right."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,8 +58,14 @@ def judged(matches: Matches, views: Sequence[str]) -> Judged:
     if len(aside) >= max(len(views) // 2, 2):  # nobody is right: the calibration as a whole is off
         aside, final = {}, {view: _miss(matches, view, []) for view in views}
     misses = {view: final[view][0] for view in views}
-    return Judged(misses, [view for view, sure in aside.items() if sure],
-                  [view for view, miss in misses.items() if miss > OFF and not aside.get(view, final[view][1])])
+    wrong = [view for view, sure in aside.items() if sure]
+    unsure = [view for view, miss in misses.items() if miss > OFF and not aside.get(view, final[view][1])]
+    right = _agreeing(matches) if wrong else set()
+    if len(right) < 2:
+        return Judged(misses, wrong, unsure)
+    doubted = [*wrong, *(view for view in views if view not in {*wrong, *right})]
+    sure = [view for view in doubted if _miss(matches, view, [other for other in views if other not in {view, *right}], ENOUGH)[1]]
+    return Judged(misses, sure, [view for view in unsure if view not in sure] + [view for view in wrong if view not in sure])
 
 
 def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> str:
@@ -69,12 +79,24 @@ def _worst(matches: Matches, off: dict[str, float], without: Sequence[str]) -> s
     return min(tried, key=lambda view: (max(np.mean(rest[view]), OFF) if rest[view] else np.inf, -off[view]))
 
 
-def _miss(matches: Matches, view: str, without: Sequence[str]) -> tuple[float, bool]:
-    """The error of a view's features in pixels, and whether it is surely too large."""
+def _agreeing(matches: Matches) -> set[str]:
+    """The views that are one of three that agree on most of the points that they share: wrong poses do so by no chance."""
+    triples = [(moment, {view: rows[view] for view in three}) for moment, rows in matches.all_tracks()
+               for three in combinations(sorted(rows), 3)]
+    triples = triples[:: max(1, -(-len(triples) // MOST_TRIPLES))]
+    shared, agreed = Counter[tuple[str, ...]](), Counter[tuple[str, ...]]()
+    for (_, rows), error in zip(triples, matches.points(triples)[1]):
+        shared[tuple(rows)] += 1
+        agreed[tuple(rows)] += int(error < EXACT)
+    return {view for three, count in shared.items() if count >= FEW and agreed[three] > count / 2 for view in three}
+
+
+def _miss(matches: Matches, view: str, without: Sequence[str], least: int = 0) -> tuple[float, bool]:
+    """The error of a view's features in pixels, and whether it is surely too large; of fewer features than `least` it never is."""
     errors, _, _ = offsets(matches, view, without)
     if len(errors) < ENOUGH:
         errors = _lines(matches, view, without)
-    return median(errors)[0], surely_off(errors)
+    return median(errors)[0], len(errors) >= least and surely_off(errors)
 
 
 def _lines(matches: Matches, view: str, without: Sequence[str]) -> np.ndarray:

@@ -76,6 +76,41 @@ def test_a_turned_camera_is_wrong_among_shifted_matches_too(rng, shifted):
     assert found.wrong == ["cam2"] and not found.unsure
 
 
+def circle(rng, calibrated, count=12, points=40):
+    """Matches of cameras around the middle, of which three in a row share their points; calibrated: functions of some of them."""
+    views, pairs = [f"cam{k}" for k in range(count)], []
+    cameras = {view: Camera(320, 240, 300.0, 300.0, 160.0, 120.0, filmed_room.pose(2 * np.pi * k / count)) for k, view in enumerate(views)}
+    seen = {view: np.zeros((0, 2)) for view in views}
+    for k in range(count):
+        three, world = [views[(k + i) % count] for i in range(3)], rng.uniform(-0.6, 0.6, (points, 3))
+        begins = [len(seen[view]) for view in three]
+        for view in three:
+            pixels = cameras[view].pixels(cameras[view].local(world)) + rng.normal(0, 0.3, (points, 2))
+            seen[view] = np.concatenate([seen[view], pixels])
+        pairs += [(*three[i:i + 2], np.arange(points)[:, None] + begins[i:i + 2]) for i in (0, 1)]
+    same = lambda camera: camera  # noqa: E731
+    found = {(0, view): features.Features(places, np.zeros((len(places), 1)), calibrated.get(view, same)(cameras[view]))
+             for view, places in seen.items()}
+    lines = [off_lines(features.fundamental(found[0, a].camera, found[0, b].camera), seen[a][rows[:, 0]], seen[b][rows[:, 1]])
+             for a, b, rows in pairs]
+    return Matches(found, {}, [Pair(0, *pair, away) for pair, away in zip(pairs, lines)], len(pairs)), views
+
+
+@pytest.mark.parametrize("seed", [1, 5, 8])
+def test_a_right_camera_that_only_wrong_ones_look_at_is_unsure(seed):
+    """Its errors are as large as theirs, but no two right cameras say so."""
+    rng = np.random.default_rng(seed)
+
+    def bumped(camera, turn=0.02):
+        motion = np.eye(4)
+        axis = rng.normal(size=3)
+        motion[:3, :3] = rotations.to_matrices(np.r_[np.cos(turn / 2), np.sin(turn / 2) * axis / np.linalg.norm(axis)])
+        return replace(camera, world_to_camera=motion @ camera.world_to_camera)
+
+    verdict = judged(*circle(rng, {"cam2": bumped, "cam4": bumped}))
+    assert sorted(verdict.wrong) == ["cam2", "cam4"] and verdict.unsure == ["cam3"]
+
+
 def test_a_longer_focal_length_is_wrong(rng):
     found = judged(made(rng, {}, {"cam3": replace(rig()["cam3"], fx=315.0, fy=315.0)}), VIEWS)
     assert found.wrong == ["cam3"]
