@@ -13,6 +13,7 @@ from ..training.initial.calibrate import calibrated
 from ..util.documentation import page
 from ..util.errors import FastGSError
 from . import drawing
+from .focal import common_factor
 from .matching import CLOSE, Matches
 from .report import Section, listed, rounded
 from .reprojection import OFF, offsets, surely_off
@@ -50,17 +51,18 @@ def run(inspection: Inspection) -> Section:
                             "apart, a scene without texture or one that repeats itself.", "Train a draft, and look at the held-out views.")
         return section
     scale = {view: samples[0].shrunk for view, samples in inspection.samples.items()}
-    bad, error = inspection.judged.wrong, inspection.judged.misses
+    zoomed = _focal_lengths(section, matches)  # then errors of single cameras tell nothing
+    bad, error = [] if zoomed else inspection.judged.wrong, inspection.judged.misses
     usual = float(np.median([error[view] for view in inspection.views if view not in bad and np.isfinite(error[view])] or [np.nan]))
     for view in bad:
         _tell(section, inspection, matches, view, error[view] * scale[view], bad)
-    unsure = inspection.judged.unsure
+    unsure = [] if zoomed else inspection.judged.unsure
     if unsure:
         section.add("note", f"Unsure: many features of {listed(unsure)} are far from where the other cameras put them. But they are few, "
                     "or others fit: floors and walls that repeat themselves look like that.",
                     "Trust the calibration if its own report is good. Else put things with patterns of their own into the scene, and look "
                     "again.", unsure)
-    rest = [view for view, miss in error.items() if miss > OFF and view not in (*bad, *unsure)]
+    rest = [] if zoomed else [view for view, miss in error.items() if miss > OFF and view not in (*bad, *unsure)]
     if not bad and np.isfinite(usual) and usual > OFF and len(rest) > len(unsure):  # otherwise they may be wrong matches
         section.add("wrong" if usual > FAR_OFF else "poor", f"Features are off by {usual * max(scale.values()):.1f} pixels with all "
                     "cameras: the calibration as a whole does not fit the pictures.", "Calibrate again; check that the pictures are "
@@ -85,6 +87,18 @@ def run(inspection: Inspection) -> Section:
     section.measures |= {"reprojection_pixels": {view: rounded(value) for view, value in shown.items()}, "median_pixels": rounded(usual),
                          "pairs": len(matches.pairs), "pairs_tried": matches.tried, "points": len(xyz), "wrong_cameras": bad}
     return section
+
+
+def _focal_lengths(section: Section, matches: Matches) -> bool:
+    """Tell by how much the focal lengths of all cameras are wrong alike; returns whether they are."""
+    factor = common_factor(matches)
+    if factor is None:
+        return False
+    by, way = abs(1 - 1 / factor), "short" if factor > 1 else "long"
+    section.add("wrong", f"The focal lengths of all cameras seem {by:.0%} too {way}: matches fit best with {factor:.3f} of what the "
+                "calibration says.", "Calibrate with pictures that were taken from the films, as many cameras crop what they film. Then "
+                "check again: single cameras were not judged.", (), ("focal length", round(factor, 4), ""))
+    return True
 
 
 def _unknown_places(section: Section, inspection: Inspection) -> None:

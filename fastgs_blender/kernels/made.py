@@ -13,12 +13,18 @@ from ..model.appearance import Appearance, Features
 from ..model.gaussians import GaussianModel
 from ..model.motion import Fourier, Polynomial
 from ..model.temporal import Radial
+from .cpu.cache import folder
 
 ROUNDS = 3
 """The median of so many steps counts; one goes before them."""
 TIME = 0.4
 RATE = 1e-5
 """Learning rate of the steps: so small that the view stays as it is."""
+
+
+def is_compiled() -> bool:
+    """Whether the processor's kernels of a training step are in the cache."""
+    return any((folder() / "cpu").glob("raster_backward.*.nbi"))
 
 
 def step_seconds(backend: Any, model: GaussianModel, camera: Camera, clock: Callable[[], float]) -> float:

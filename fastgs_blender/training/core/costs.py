@@ -4,6 +4,7 @@ import time
 from dataclasses import dataclass, replace
 
 from ...util.backends import load_backend
+from ...util.remarks import remark
 from ...util.threads import thread_count
 from .presets import LENGTHS
 from .settings import settings as make
@@ -15,6 +16,11 @@ PIXEL, GAUSSIAN = 1.9e-7, 1e-6
 START, DECODED, FEATURES, SWEPT = 3.0, 2.5e-8, 1.5e-6, 0.1
 """What comes before the first step there: seconds in all, for each pixel that is decoded, for each pixel of pictures whose features are
 found and matched, and for each camera and moment of the plane sweep (12 and 20 frames of 10 and 14 cameras, 2026-11-30)."""
+SWEEP_PIXELS, SWEEP_LEAST = 320 * 240, 0.4
+"""Pixels of a picture from which on the sweep takes that long, and the share of it that the smallest ones take."""
+REST = 1.4
+"""How many times as long a run's step takes for each Gaussian as one on the made scene: density control, penalties, responses of cameras
+and more come on top (drafts of 7 and 17 cameras, 80 x 60 to 240 x 320 pixels, 2026-11-30)."""
 FEATURE_MOMENTS, MOMENTS, MOST_VIEWS, FEATURE_PIXELS = 5, 16, 24, 1024 * 768
 """Moments of which features are found, those of refining cameras too, and at most compared; pictures of a moment at most; and of pixels."""
 SMALL, FULL = 0.9, 0.87
@@ -79,10 +85,12 @@ def usual_pace() -> Pace:
 def measured_pace() -> Pace:
     """That of this machine now, beside whatever else it does: a few steps on two made scenes, half a second and more on slow machines.
 
-    The first time on a machine kernels are compiled, which training would have to do as well.
+    The first time on a machine kernels are compiled, which training would have to do as well; a remark says so.
     """
-    from ...kernels.made import made_camera, made_decoder, made_model, step_seconds
+    from ...kernels.made import is_compiled, made_camera, made_decoder, made_model, step_seconds
 
+    if not is_compiled():
+        remark("FAST-GS: compiling training for this machine, to see how fast it is; this happens once and takes about a minute.")
     large, small = (step_seconds(load_backend("cpu"), made_model(made_decoder(), MADE, MADE_SMALL), made_camera(*size), time.perf_counter)
                     for size in MADE_SIZES)
     pixels = [width * height for width, height in MADE_SIZES]
@@ -101,7 +109,8 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0, vi
     slower = pace.gaussian / GAUSSIAN
     moments, alone = min(pictures // max(views, 1), MOMENTS), slower * thread_count()  # one thread finds features
     seconds = alone * (START + FEATURES * min(pixels, FEATURE_PIXELS) * views * min(moments + 1, FEATURE_MOMENTS))
-    seconds += slower * (DECODED * pixels * pictures + SWEPT * min(views, MOST_VIEWS) * moments)
-    seconds += iterations * (SMALL * pace.pixel * pixels + FULL * pace.gaussian * gaussians)
+    swept = SWEPT * (SWEEP_LEAST + (1 - SWEEP_LEAST) * min(pixels / SWEEP_PIXELS, 1.0))
+    seconds += slower * (DECODED * pixels * pictures + swept * min(views, MOST_VIEWS) * moments)
+    seconds += iterations * (SMALL * pace.pixel * pixels + REST * FULL * pace.gaussian * gaussians)
     cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
     return seconds, BASE_MEMORY + cached + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels

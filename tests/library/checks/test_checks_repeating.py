@@ -12,6 +12,7 @@ from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.evidence import median
 from fastgs_blender.checks import calibration
+from fastgs_blender.checks.focal import common_factor
 from fastgs_blender.checks.matching import Matches, Pair, distinct, off_lines
 from fastgs_blender.checks.reprojection import judged, surely_off
 from fastgs_blender.checks.samples import Inspection, sample
@@ -76,7 +77,7 @@ def test_a_turned_camera_is_wrong_among_shifted_matches_too(rng, shifted):
     assert found.wrong == ["cam2"] and not found.unsure
 
 
-def circle(rng, calibrated, count=12, points=40):
+def circle(rng, calibrated, count=12, points=40, noise=0.3):
     """Matches of cameras around the middle, of which three in a row share their points; calibrated: functions of some of them."""
     views, pairs = [f"cam{k}" for k in range(count)], []
     cameras = {view: Camera(320, 240, 300.0, 300.0, 160.0, 120.0, filmed_room.pose(2 * np.pi * k / count)) for k, view in enumerate(views)}
@@ -85,7 +86,7 @@ def circle(rng, calibrated, count=12, points=40):
         three, world = [views[(k + i) % count] for i in range(3)], rng.uniform(-0.6, 0.6, (points, 3))
         begins = [len(seen[view]) for view in three]
         for view in three:
-            pixels = cameras[view].pixels(cameras[view].local(world)) + rng.normal(0, 0.3, (points, 2))
+            pixels = cameras[view].pixels(cameras[view].local(world)) + rng.normal(0, noise, (points, 2))
             seen[view] = np.concatenate([seen[view], pixels])
         pairs += [(*three[i:i + 2], np.arange(points)[:, None] + begins[i:i + 2]) for i in (0, 1)]
     same = lambda camera: camera  # noqa: E731
@@ -109,6 +110,17 @@ def test_a_right_camera_that_only_wrong_ones_look_at_is_unsure(seed):
 
     verdict = judged(*circle(rng, {"cam2": bumped, "cam4": bumped}))
     assert sorted(verdict.wrong) == ["cam2", "cam4"] and verdict.unsure == ["cam3"]
+
+
+@pytest.mark.parametrize("factor", [0.9, 1.0, 1.1])
+def test_focal_lengths_that_are_wrong_alike_are_told(rng, factor):
+    """Every camera fits the others well in the middle of its picture; pairs of cameras tell it all the same, and a bumped one does not."""
+    def zoomed(camera):
+        return replace(camera, fx=factor * camera.fx, fy=factor * camera.fy)
+
+    found = common_factor(circle(rng, {f"cam{k}": zoomed for k in range(12)}, noise=0.05)[0])
+    assert found is None if factor == 1 else found == pytest.approx(1 / factor, abs=0.01)
+    assert common_factor(circle(rng, {"cam2": lambda camera: turned(camera, 1.5), "cam7": zoomed})[0]) is None
 
 
 def test_a_longer_focal_length_is_wrong(rng):
