@@ -61,7 +61,7 @@ class Lines(Progress):
 
     def __init__(self, *arguments: Any, **options: Any) -> None:
         super().__init__(*arguments, **options)
-        self.begun = self.since = self.shown = self.clock()
+        self.begun = self.since = self.shown = self.came = self.clock()
         self.first = self.last = self.n
         self.told = self.going = False
         self.closed, self.lock = threading.Event(), threading.Lock()
@@ -69,6 +69,7 @@ class Lines(Progress):
         threading.Thread(target=self._watch, name="FAST-GS progress", daemon=True).start()
 
     def to(self, done: int, total: int | None = None) -> None:
+        self.came = self.clock() if done > self.n else self.came
         super().to(done, total)
         if not self.going:  # what comes before the first piece says nothing of how long pieces take
             self.going, self.since, self.first = done > self.first, self.clock(), max(done, self.first)
@@ -95,7 +96,8 @@ class Lines(Progress):
         self.shown, self.last, self.told = self.clock(), self.n, True
         spent = self.shown - self.begun
         rate = self.rate() if self.rate else (self.n - self.first) / max(self.shown - self.since, 1e-9)
-        left = f", {clock_text((self.total - self.n) / rate)} left" if rate > 0 and self.n < self.total else ""
+        even = rate > 0 and self.shown - self.came < max(SECONDS, 3 / rate)  # else this piece is longer than those before it
+        left = f", {clock_text((self.total - self.n) / rate)} left" if even and self.n < self.total else ""
         note = f", {self.text}" if self.text else ""
         pieces = f"{self.n}/{self.total} {self.unit}s ({100 * self.n // max(self.total, 1)} %), " if self.n else ""
         self.say(f"{self.what}: {pieces}{clock_text(spent)} so far{left}{note}")

@@ -6,7 +6,6 @@ Points that look the same at other moments belong to all times; all others carry
 """
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from itertools import count
 from typing import Any
 
 import numpy as np
@@ -41,6 +40,8 @@ SAME_SIDE = np.radians(20)
 """Angle within which a view sees what the mean of other views sees."""
 SWEEP_SIDE = 128
 """Pictures are shrunk to this for the plane sweep."""
+FEATURE_PIXELS = 18_000
+"""Pixels of a picture whose features take as long as another part of the work does for a picture: what is left is told by parts."""
 COMPANY, LONELY = 16, 4.0
 """Distance to that many nearest points, in medians, beyond which a point is a stray."""
 STEADY, MOSTLY = 0.2, 0.8
@@ -51,19 +52,24 @@ agree on it for what belongs to all times."""
 def triangulated(capture: Capture, store: Any, settings: Settings,
                  progress: Callable[[int, int], None] = lambda done, of: None) -> tuple[Points, str, Any]:
     """At most settings.init_points points, a clause about them, and the store with colours in which cameras agree on them; calls
-    progress(done, of) for the moments whose features and whose surfaces are found, compared and followed.
+    progress(done, of) for parts of about the same length: features of moments, and their surfaces that are found, compared and followed.
 
     Raises FastGSError where the pictures give too few features.
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
-    of, done = len(some) + (4 if settings.init_motion else 3) * len(moments) + 1, count(1)
+    shown_first = some[0][0].camera
+    assert shown_first is not None
+    slow = max(1, round(shown_first.width * shown_first.height / FEATURE_PIXELS))
+    of, done = slow * len(some) + (4 if settings.init_motion else 3) * len(moments) + 1, 0
 
-    def tick() -> None:
-        progress(next(done), of)
+    def tick(parts: int = 1) -> None:
+        nonlocal done
+        done += parts
+        progress(done, of)
 
     progress(0, of)
-    found, store = _features(capture, store, settings, some, tick)
+    found, store = _features(capture, store, settings, some, lambda: tick(slow))
     how = f"{len(found)} features triangulated"
     if found.t is None or not np.isfinite(found.t).all():
         return evenly(found, settings.init_points), how, store

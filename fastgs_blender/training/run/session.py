@@ -167,7 +167,7 @@ class _Session:
         if found is None:
             with self.reporter.stage("comparing clocks", "picture") as report:
                 clocks = expected_clocks(capture, store, settings, self.reporter.say, report)
-            with self.reporter.stage("finding starting points") as report:
+            with self.reporter.stage("finding starting points", "part") as report:
                 if earlier is not None and settings.segment_steps:
                     at = (span.first - cuts[number - 1].first) / cuts[number - 1].count
                     began = start_after(self._finished(number - 1), earlier, at, capture, store, settings, self.reporter.say, report)

@@ -19,6 +19,7 @@ from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.capture import Capture, Points, Shot
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.trainer import Trainer
+from fastgs_blender.training.initial import dense
 from fastgs_blender.training.initial.calibrate import calibrated, keep, with_poses
 from fastgs_blender.training.initial.dense import among_others
 from fastgs_blender.training.initial.geometry import visible
@@ -110,8 +111,12 @@ def blank():
 @pytest.fixture(scope="module")
 def found(filmed):
     said, done = [], []
-    points = initial_points(*filmed, settings(init_points=4000), said.append, lambda *ticks: done.append(ticks))[0]
-    assert done == [(k, done[0][1]) for k in range(done[0][1] + 1)] and len(done) > 2 * FRAMES, "progress goes on to its end"
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(dense, "FEATURE_PIXELS", SIZE[0] * SIZE[1] / 5)
+        points = initial_points(*filmed, settings(init_points=4000), said.append, lambda *ticks: done.append(ticks))[0]
+    parts = np.diff([k for k, _ in done])
+    assert done[0][0] == 0 and done[-1][0] == done[-1][1] and len(done) > 2 * FRAMES, "progress goes on to its end"
+    assert parts[0] == 5 and set(parts[len(dense.chosen_moments(filmed[0])):]) == {1}, "features take longer than other parts"
     return points, said
 
 

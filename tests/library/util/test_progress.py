@@ -49,3 +49,6 @@ def test_what_comes_before_the_first_piece_is_not_counted_in_the_time_left(capsy
         lines.to(done)
     assert capsys.readouterr().err.splitlines()[-2:] == ["refining: 1/100 steps (1 %), 2:11 so far",
                                                          "refining: 21/100 steps (21 %), 2:31 so far, 1:19 left"]
+    now[0] = 191.0
+    lines.to(21)
+    assert capsys.readouterr().err.splitlines() == ["refining: 21/100 steps (21 %), 3:11 so far"], "this step is longer than others"
