@@ -151,8 +151,10 @@ def test_training_from_python_gives_the_model(toy, tmp_path):
         train(toy, tmp_path / "run")
 
 
-def test_the_time_of_a_run_follows_this_machine_and_the_work(monkeypatch):
-    """Twice as slow a machine takes twice as long; more cameras take longer before the first step; a measured pace is a real one."""
+def test_the_time_of_a_run_follows_this_machine_and_the_work(monkeypatch, capsys, tmp_path):
+    """Twice as slow a machine takes twice as long; more cameras take longer before the first step; a measured pace is a real one.  That
+    kernels are compiled for it, which takes a minute, is said."""
+    from fastgs_blender.kernels import made
     from fastgs_blender.training.core import costs
 
     pace = costs.usual_pace()
@@ -164,3 +166,10 @@ def test_the_time_of_a_run_follows_this_machine_and_the_work(monkeypatch):
     monkeypatch.setattr(costs, "MADE_SIZES", ((96, 64), (24, 16)))
     found = costs.measured_pace()
     assert 0 < found.pixel < 1e-3 and 0 < found.gaussian < 1e-1
+    assert made.is_compiled(), "it knows the kernels by their names in the cache"
+    capsys.readouterr()
+    costs.measured_pace()
+    assert "compiling" not in capsys.readouterr().err
+    monkeypatch.setattr(made, "folder", lambda: tmp_path)
+    costs.measured_pace()
+    assert "compiling" in capsys.readouterr().err
