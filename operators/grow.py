@@ -1,7 +1,7 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Grow to the Thing: from strokes, or from what is selected, to all that belongs to it."""
 import bpy
-from bpy.props import EnumProperty
+from bpy.props import EnumProperty, FloatProperty
 
 from ..fastgs_blender.selecting.grow import connected, grow
 from ..scene import objects, selection
@@ -29,6 +29,14 @@ class FASTGS_OT_grow(Stepwise, bpy.types.Operator):
             ('THING', "The Thing", "What lies together, moves together and looks alike", 0),
             ('CONNECTED', "All Connected", "Whatever can be reached from one Gaussian to the next, without a gap", 1),
         ), default='THING')
+    reach: FloatProperty(
+        name="Reach", description="How much farther than the border that was found the thing goes, or less far",
+        min=-1, max=1, default=0, options={'SKIP_SAVE'})
+
+    def draw(self, context):
+        self.layout.prop(self, "to")
+        if self.to == 'THING':
+            self.layout.prop(self, "reach", slider=True)
 
     def steps(self, context):
         obj = context.object
@@ -36,7 +44,7 @@ class FASTGS_OT_grow(Stepwise, bpy.types.Operator):
         yes, no = (selection.bits(obj, name)[own] for name in ("wanted" if obj.fastgs.wanted else "selection", "refused"))
         if self.to == 'CONNECTED':
             yes = selection.bits(obj, "selection")[own]
-        work = (lambda progress: grow(model, yes, no)) if self.to == 'THING' else (lambda progress: connected(model, yes))
+        work = (lambda progress: grow(model, yes, no, self.reach)) if self.to == 'THING' else (lambda progress: connected(model, yes))
         found = yield from in_background(work)
         out = own.copy()
         out[own] = found

@@ -52,11 +52,13 @@ LEAST = 0.02
 """What is left at least of the pull of a stroke's Gaussian whose neighbours say otherwise."""
 
 
-def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) -> np.ndarray:
+def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, reach: float = 0.0) -> np.ndarray:
     """Which Gaussians [N] bool belong to the thing that strokes went over, on all frames.
 
     yes  [N] bool, Gaussians of strokes over the thing, at any times and from any views (shapes.touched())
     no   [N] bool, of strokes over what does not belong to it; None: whatever is hardly joined to it does not
+    reach  how much farther than the border that is found, or less far: 1 to -1, the lowest and the highest border; below 0 without
+           pieces of other colours
 
     Joins are kept while the model lives, so that further strokes take less time.  Raises FastGSError where `yes` is empty.
     """
@@ -80,17 +82,25 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None) ->
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
     y = potential(found.ends, weight, pull + nearly, pull * side, order)
-    alone = y > BORDER_ALONE * float(y[yes].mean())
+    alone = y > _reached(BORDER_ALONE * float(y[yes].mean()), reach, float(y[yes].mean()))
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, order)
     borders, ratio = _cuts(y, float(y[yes].mean()), found.ends, weight, degree)
     best = np.argmin((ratio + FREE) / np.geomspace(*BORDERS, TRIED))
-    thing, may = y > borders[best], y > borders[0]
+    thing, may = y > _reached(borders[best], reach, float(y[yes].mean())), y > borders[0]
     if not against:
         torn = weight[alone[i] != alone[j]].sum() / degree[alone].sum()
         whole = thing.all() or thing.mean() < LARGEST
         return thing if whole and torn > TORN and ratio[best] < CLEAN * torn else alone
+    if reach < 0:
+        return thing
     thing = spanned(found, yes, no, thing, may, other < 0.5)
     return continued(found, positions_at(model, 0.5), thing, may)
+
+
+def _reached(border: float, reach: float, mean: float) -> float:
+    """A border moved by a reach."""
+    end = BORDERS[0 if reach > 0 else 1] * mean
+    return border * (end / border) ** abs(reach) if border > 0 else border
 
 
 def _cuts(y: np.ndarray, mean: float, ends: np.ndarray, weight: np.ndarray, degree: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

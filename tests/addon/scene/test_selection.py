@@ -221,7 +221,7 @@ def two_balls(fg, make_model, model_file, add_camera, scene):
     return bpy.context.object, red
 
 
-def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene):
+def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene, monkeypatch):
     """Two strokes, one of them of what does not belong to it, on one frame; then the part is the ball."""
     (obj, red), selection, shapes = two_balls, module("scene.selection"), module("fastgs_blender.selecting.shapes")
     assert not bpy.ops.fastgs.grow.poll()
@@ -234,6 +234,10 @@ def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene):
     found = selection.bits(obj, "selection")
     assert (found & red).sum() / (found | red).sum() > 0.9
     assert obj.fastgs.wanted and obj.fastgs.refused  # for a further stroke
+    asked = []
+    monkeypatch.setattr(module("operators.grow"), "grow", lambda model, yes, no, reach: asked.append(reach) or yes)
+    assert bpy.ops.fastgs.grow(reach=0.5) == {'FINISHED'} and asked == [0.5]
+    selection.put(obj, selection=found)
     assert bpy.ops.fastgs.separate() == {'FINISHED'} and bpy.context.object.fastgs.gaussian_count == found.sum()
     bpy.ops.fastgs.select_kind(kind='ALL')
     assert bpy.ops.fastgs.grow(to='CONNECTED') == {'FINISHED'}

@@ -34,6 +34,16 @@ def test_two_strokes_select_a_thing(name):
         assert min(scenes.overlaps(scene.model, grow(scene.model, yes, against), scene, views=(3, 6), times=(0.1, 0.8))) >= 0.9
 
 
+def test_the_border_is_moved_by_hand():
+    """From a cloth to the one that lies on it, or not at all where nothing else is near; never to less than the strokes say."""
+    scene = made("cloths")
+    yes, no = scenes.strokes(scene.model, scene)
+    for against in (no, None):
+        less, found, more = (grow(scene.model, yes, against, reach) for reach in (-1, 0, 0.5))
+        assert (less <= found).all() and np.mean(less == scene.truth) > 0.99
+        assert (found <= more).all() and more.sum() > 1.5 * found.sum()
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball and box", "cloths", "lifted"])
 def test_a_click_is_enough(name):
