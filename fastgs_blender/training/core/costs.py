@@ -18,9 +18,6 @@ START, DECODED, FEATURES, SWEPT = 3.0, 2.5e-8, 1.5e-6, 0.1
 found and matched, and for each camera and moment of the plane sweep (12 and 20 frames of 10 and 14 cameras, 2026-11-30)."""
 SWEEP_PIXELS, SWEEP_LEAST = 320 * 240, 0.4
 """Pixels of a picture from which on the sweep takes that long, and the share of it that the smallest ones take."""
-REST = 1.2
-"""How many times as long a run's step takes for each Gaussian as one on the made scene, for density control, penalties, exposures
-and more: 0.9 to 1.6 in four runs (docs/notes/learning-rates.md)."""
 FEATURE_MOMENTS, MOMENTS, MOST_VIEWS, FEATURE_PIXELS = 5, 16, 24, 1024 * 768
 """Moments of which features are found, those of refining cameras too, and at most compared; pictures of a moment at most; and of pixels."""
 SMALL, FULL = 0.9, 0.87
@@ -111,6 +108,6 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0, vi
     seconds = alone * (START + FEATURES * min(pixels, FEATURE_PIXELS) * views * min(moments + 1, FEATURE_MOMENTS))
     swept = SWEPT * (SWEEP_LEAST + (1 - SWEEP_LEAST) * min(pixels / SWEEP_PIXELS, 1.0))
     seconds += slower * (DECODED * pixels * pictures + swept * min(views, MOST_VIEWS) * moments)
-    seconds += iterations * (SMALL * pace.pixel * pixels + REST * FULL * pace.gaussian * gaussians)
+    seconds += iterations * (SMALL * pace.pixel * pixels + FULL * pace.gaussian * gaussians)
     cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
     return seconds, BASE_MEMORY + cached + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels
