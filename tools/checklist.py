@@ -33,7 +33,7 @@ HERE = {"linux": "linux-x64", "win32": "windows-x64", "darwin": "macos-arm64"}
 FOR_A_SYSTEM = re.compile(r"^platforms = .*\n|^wheels = \[\n(?:  .*\n)*\]\n", re.MULTILINE)
 """What a manifest says of the system that its zip is for, as build_extension writes it."""
 READS_ITSELF = {
-    "engine/compiling.py", "fastgs_blender/jobs/child.py", "fastgs_blender/jobs/command.py",  # programs in processes of their own
+    "fastgs_blender/kernels/cpu/aside.py", "fastgs_blender/jobs/child.py", "fastgs_blender/jobs/command.py",  # programs that they start
     "fastgs_blender/formats/web/page.py", "fastgs_blender/kernels/cpu/cache.py",
     "fastgs_blender/kernels/equations/text.py", "fastgs_blender/kernels/gpu/shaders.py",
     "operators/example.py", "scene/pages.py",
