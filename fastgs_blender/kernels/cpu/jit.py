@@ -9,13 +9,14 @@ from __future__ import annotations
 import contextlib
 import ctypes
 import functools
+import hashlib
 import time
 from pathlib import Path
 
 import numba
 from llvmlite import binding
 from numba import _dynfunc  # type: ignore[attr-defined]  # an extension module
-from numba.core.caching import CompileResultCacheImpl, FunctionCache, InTreeCacheLocator
+from numba.core.caching import CompileResultCacheImpl, FunctionCache, IndexDataCacheFile, InTreeCacheLocator
 from numba.core.codegen import JITCodeLibrary
 from numba.core.compiler import Compiler
 from numba.core.runtime import nrt
@@ -58,10 +59,25 @@ def _runtime():
         binding.add_symbol(name if name.startswith("_") else f"NRT_{name}", address)
 
 
+class Files(IndexDataCacheFile):
+    """The files of a function, by their signatures.  numba numbers them in an index that it writes first: of two processes that compile at
+    once, one may then find the other's machine code under its own signature, and run it."""
+
+    def save(self, key, data):
+        """Machine code first, under a name of its own, and then the index."""
+        name = self._data_name(int(hashlib.sha256(self._dump(key)).hexdigest()[:10], 16))
+        self._save_data(name, data)
+        self._save_index(self._load_index() | {key: name})
+
+
 class Kept(FunctionCache):
     """Machine code in the cache.  numba's own class has everything ready that compiling needs before it reads any: 0.15 s."""
 
     _impl_class = Code
+
+    def __init__(self, function):
+        super().__init__(function)
+        self._cache_file = Files(self._cache_path, self._impl.filename_base, self._impl.locator.get_source_stamp())
 
     def load_overload(self, sig, target_context):
         """The code for a signature, or None, as numba's does it.  Code that is compiled aside is waited for."""

@@ -11,7 +11,7 @@ from pathlib import Path
 import pytest
 
 from fastgs_blender.kernels.cpu import aside, cache, warm
-from fastgs_blender.kernels.cpu.jit import inline, kernel
+from fastgs_blender.kernels.cpu.jit import Files, inline, kernel
 
 
 def _printed(folder, *arguments, **variables):
@@ -99,6 +99,23 @@ def test_a_function_that_becomes_part_of_kernels_has_no_machine_code_and_refuses
         half(8.0)
     (result,) = half.overloads.values()
     assert not result.library._codegen._engine.is_symbol_defined(result.fndesc.llvm_func_name)
+
+
+def test_processes_that_save_at_once_never_read_what_the_other_has_compiled(tmp_path):
+    one, other = (Files(str(tmp_path), "kernel", "stamp") for _ in range(2))
+    other._load_index = dict  # it had read the index before one wrote it
+    one.save(("float",), 1)
+    other.save(("int",), 2)
+    assert one.load(("int",)) == 2 and one.load(("float",)) in (1, None)
+    one.save(("float",), 1)
+
+    def killed(name, data):
+        raise KeyboardInterrupt
+
+    other._save_data = killed
+    with pytest.raises(KeyboardInterrupt):
+        other.save(("text",), 3)
+    assert one.load(("text",)) is None and one.load(("float",)) == 1
 
 
 def test_the_process_aside_compiles_its_kernels_and_runs_none(tmp_path):
