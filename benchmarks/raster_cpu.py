@@ -9,7 +9,8 @@
                        and from the same frame sliced beforehand into a static model
 * peak memory          of a process that loads 1 M Gaussians and renders a frame, Python and compiled kernels included; and beyond an
                        idle process
-* start to first frame of a process: imports, a frame of 10 000 Gaussians, kernels from the cache; the same with none compiled
+* start to first frame of a process: imports, a frame of 10 000 Gaussians, kernels from the cache; the same with none compiled, of which
+                       a second process compiles a part, whose processor time is not counted
 """
 from __future__ import annotations
 

@@ -67,8 +67,8 @@ def begin(work: str) -> None:
 
 
 def end_with_parent() -> None:
-    """In the second process: end when the first one does."""
-    threading.Thread(target=lambda: (sys.stdin.read(), os._exit(0)), daemon=True).start()
+    """In the second process: end when the first one does.  Not by sys.stdin, whose lock Python wants at its end."""
+    threading.Thread(target=lambda: (os.read(0, 1), os._exit(0)), daemon=True).start()
 
 
 def is_running() -> bool:

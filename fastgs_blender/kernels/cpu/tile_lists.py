@@ -107,6 +107,7 @@ def list_tiles(segments, counts, first: int, last: int):
 def tile_cursors(counts, first: int, last: int):
     """Where each tile's list begins [tiles + 1] int64, and where in it each segment's splats do [segments, tiles] uint32, with the lists of
     the tiles first..last alone."""
-    starts, cursors = np.zeros(counts.shape[1] + 1, np.int64), np.empty(counts.shape, np.uint32)
+    starts = np.zeros(counts.shape[1] + 1, np.int64)  # where no kernel runs (aside.py), lists are empty
+    cursors = np.empty(counts.shape, np.uint32)
     tiles.begins(counts, first, last, starts, cursors)
     return starts, cursors
