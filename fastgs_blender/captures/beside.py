@@ -7,7 +7,7 @@ matches and there are as many films as cameras, they are paired in order, and a 
 """
 import re
 from collections.abc import Sequence
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any
 
 from ..cameras import poses
@@ -80,7 +80,7 @@ def _holds(whole: list, part: list) -> bool:
 
 
 def films_of(names: Sequence[str], file: Path, path: Path, exact: bool = False) -> tuple[dict[str, Path], list[str]]:
-    """The cameras' films in the folder that has most of them, and notes.
+    """The cameras' films in the folder that has most of them, and a note where they are called otherwise and taken in order.
 
     Looked at are the calibration's folder, the capture's, the folders in them, and those beside the calibration's own folder.
     """
@@ -100,9 +100,28 @@ def films_of(names: Sequence[str], file: Path, path: Path, exact: bool = False) 
     if not best and counted and all(len(films_in(film)) < 2 for film in counted if film.is_dir()):
         order = ", ".join(f"{film.name} is {name}" for name, film in zip(names, counted))
         return dict(zip(names, counted)), [f"no film in {counted[0].parent.name} is called like a camera; taken in order, {order}"]
-    lost = [name for name in names if name not in best]
-    some = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
-    return best, [f"left out for want of a film: {some}"] if lost and best else []
+    return best, []
+
+
+def without_number(called: str) -> str:
+    """cam00_0001 and cam00_frame1 -> cam00; cam00 stays."""
+    return re.sub(r"(?<=.)[_-](frame_?)?\d+$", "", called, flags=re.IGNORECASE)
+
+
+def films_of_pictures(pictures: Sequence[str], file: Path, path: Path) -> tuple[list[str], list[Path | None]]:
+    """What each picture's camera is called, and its film if there is one; file and path as films_of() has them.
+
+    The films are called like the pictures, like them without their numbers, or like their folders: as most of them are.
+
+    pictures  paths as a calibration has them, without endings
+    """
+    found: tuple[list[str], list[Path | None]] = [*pictures], [None] * len(pictures)
+    for named in (lambda own: own.name, lambda own: without_number(own.name), lambda own: own.parent.name):
+        names = [named(PurePosixPath(picture)) for picture in pictures]
+        films = films_of([name for name in dict.fromkeys(names) if name], file, path, exact=True)[0]
+        if len(films) > len({film for film in found[1] if film is not None}):
+            found = names, [films.get(name) for name in names]
+    return found
 
 
 def _photographs(names: Sequence[str], file: Path, path: Path) -> dict[str, Path]:
@@ -131,7 +150,18 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     twice = poses.repeated(names)
     if twice is not None:
         raise FastGSError(f"{file}: camera {twice} is there twice.")
-    places, notes = films_of(names, file, path, photographed)
+    called: list[str] = names
+    notes: list[str] = []
+    if photographed:
+        called, streams = films_of_pictures(names, file, path)
+        firsts = {film: name for name, film in reversed(list(zip(names, streams))) if film is not None}
+        places = {name: film for film, name in reversed(firsts.items())}
+    else:
+        places, notes = films_of(names, file, path)
+    lost = [name for name in names if name not in places]
+    if lost and places:
+        some = ", ".join(lost[:8]) + (f" and {len(lost) - 8} more" if len(lost) > 8 else "")
+        notes += [f"left out for want of a film: {some}"]
     if not places and photographed:
         places = _photographs(names, file, path)
         notes = ["there are no films beside it: its photographs show one moment"]
@@ -143,7 +173,7 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     faults: list[str] = lone_sentence(list(places), [called for called in names if called not in places])
     start, found, rates = films(places, faults, path)
     rig: dict[str, RigCamera] = {}
-    for camera in cameras:
+    for camera, shown in zip(cameras, called):
         place = places.get(camera.name)
         if place is None:
             continue
@@ -151,7 +181,7 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
         pose[:3, 3] *= metres
         settings: dict[str, Any] = dict(lens=camera.lens, intrinsics=camera.intrinsics(_size(place, camera), str(place)))
         pictures = [None if where is None else Source(*where, **settings) for where in found[camera.name]]
-        view = place.stem if camera.name.isdecimal() and film_of(place).is_file() else camera.name  # "cam_0" says more than "0"
+        view = place.stem if camera.name.isdecimal() and film_of(place).is_file() else shown  # "cam_0" says more than "0"
         rig[camera.name] = RigCamera(view if view not in names else camera.name, pictures, pose)
     settings = dict(axes=upright_axes([filmed.pose for filmed in rig.values() if filmed.pose is not None]), faults=faults)
     if times is None:

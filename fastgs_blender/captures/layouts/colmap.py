@@ -22,7 +22,7 @@ from ...cameras import poses
 from ...cameras.colmap_files import ColmapImage, read_images, read_points
 from ...model.points import Points
 from ...util.errors import FastGSError, printable
-from ..beside import films_of
+from ..beside import films_of_pictures, without_number
 from ..capture import Capture, Options
 from ..pixels.sequences import film_called, film_of, films_in, frame_range, numbered_pictures, video_frames
 from ..rig_camera import RigCamera
@@ -97,7 +97,8 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
     points = read_points(model)
     streams = [_stream(top, image) or _stream(path, image) for image in images]
     if all(stream is None or _is_picture(stream) for stream in streams):
-        streams = _elsewhere(path, model, images) or streams
+        films = films_of_pictures([Path(image.name).with_suffix("").as_posix() for image in images], model / "images", path)[1]
+        streams = films if len(set(films) - {None}) > 1 else streams  # one alone is no rig
     walks = _walks(images, streams)
     streams = [None if stream in walks else stream for stream in streams]
     if options.scan:
@@ -154,7 +155,7 @@ def _stream(top: Path, image: ColmapImage) -> Path | None:
     beside, inside = (top / own).parent, len(own.parts) > 1
     if inside and _is_sequence(beside, own):
         return beside
-    for candidate in (own.stem, _without_number(own)):
+    for candidate in (own.stem, without_number(own.stem)):
         folder = beside / candidate
         if folder.is_dir() and (_is_sequence(folder, own) or films_in(folder)):
             return folder
@@ -162,22 +163,6 @@ def _stream(top: Path, image: ColmapImage) -> Path | None:
         if video is not None:
             return beside if inside and films_in(beside) == [video] else video
     return beside if inside and beside.is_dir() and films_in(beside) else None
-
-
-def _without_number(own: Path) -> str:
-    """cam00_0001.png -> cam00; cam00.png -> cam00"""
-    return re.sub(r"(?<=.)[_-]\d+$", "", own.stem)
-
-
-def _elsewhere(path: Path, model: Path, images: Sequence[ColmapImage]) -> list[Path | None]:
-    """The films of registered pictures in whatever folder of the workspace: called like the picture, without its number, or like its
-    folder.  One alone is no rig: none."""
-    for named in (lambda own: own.stem, _without_number, lambda own: own.parent.name):
-        names = [named(Path(image.name)) for image in images]
-        found = films_of([called for called in dict.fromkeys(names) if called], model / "images", path, exact=True)[0]
-        if len(found) > 1:
-            return [found.get(called) for called in names]
-    return []
 
 
 def _walks(images: Sequence[ColmapImage], streams: Sequence[Path | None]) -> set[Path]:

@@ -54,7 +54,7 @@ def load(path: Path, options: Options) -> Capture:
 
 
 def _table(file: Path) -> list[opencv.Calibrated]:
-    lines = (line for line in read_text(file, LARGEST_FILE).splitlines() if not line.lower().startswith("#cameras"))
+    lines = (line for line in _commas(read_text(file, LARGEST_FILE)).splitlines() if not line.lower().startswith("#cameras"))
     rows = list(csv.DictReader(io.StringIO("\n".join(lines).removeprefix("#"))))
     if not 0 < len(rows) <= MOST_CAMERAS:
         raise FastGSError(f"{file}: it has {len(rows)} cameras, and 1 to {MOST_CAMERAS} are read; export it again.")
@@ -121,9 +121,15 @@ def _files(path: Path) -> list[Path]:
     return []
 
 
+def _commas(text: str) -> str:
+    """A table whose columns commas separate: spreadsheets of some countries put semicolons there, and commas into numbers."""
+    return text.replace(",", ".").replace(";", ",") if text.count(";") > text.count(",") else text
+
+
 def _is_export(file: Path) -> bool:
     head = beginning(file, (".csv", ".xmp"))
+    lines = _commas(head.decode("utf-8", "replace")).lower().splitlines()
     if file.suffix.lower() == ".xmp":
         return b"capturingreality" in head
-    columns = next((line for line in head.decode("utf-8", "replace").lower().splitlines() if line.startswith(("#name", "name"))), "")
+    columns = next((line for line in lines if line.startswith(("#name", "name"))), "")
     return set(NEEDED) <= {column.strip() for column in columns.removeprefix("#").split(",")}

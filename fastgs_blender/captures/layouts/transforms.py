@@ -5,11 +5,14 @@
     transforms_train.json, _val.json, _test.json   val and test are held out
 
 Poses are camera-to-world with OpenGL's camera axes.  `time` of a picture in [0, 1] is the model's t; other times are put there in
-even steps.  Without times, pictures cam00/0001.png, cam01/0001.png, ... are a rig's frames, and all others show one moment.
+even steps.  Without times, pictures cam00/0001.png, cam01/0001.png, ... are a rig's frames; and one picture of each camera stands for the
+film that is called like it, or is a film itself.  All others show one moment.
 Intrinsics and distortion stand at the top or with each picture.  mask_path: black is to be ignored (nerfstudio).
 """
+from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as shortened
+from typing import Any
 
 from ...cameras import poses
 from ...cameras.transforms_json import fps_of, given_for, intrinsics_of, lens_of, pose_of
@@ -17,12 +20,14 @@ from ...model.points import Points
 from ...util.errors import FastGSError
 from ...util.reading import read_json
 from ...util.stated_paths import local
+from ..beside import films, films_of_pictures
 from ..capture import Capture, Options
 from ..pixels.probe import picture_size
 from ..point_files import load_points
-from ..rigs import Entry, from_entries
+from ..rig_camera import RigCamera
+from ..rigs import Entry, from_entries, from_rig
 from ..sources import PICTURES, VIDEOS, Source
-from .transforms_views import Picture, times_of, views_of
+from .transforms_views import Picture, short, stem, times_of, views_of
 
 name = "transforms.json"
 SPLITS = ("train", "val", "test")
@@ -45,23 +50,54 @@ def load(path: Path, options: Options) -> Capture:
     pictures = [picture for split, file in files.items() for picture in _read(file, tables[file], split)]
     there = [picture for picture in pictures if picture.source is not None]
     if not there:
-        films = [picture.stated for picture in pictures if Path(picture.stated).suffix.lower() in VIDEOS]
-        if films:
-            raise FastGSError(f"{path}: {shortened(films[0])} is a film, and transforms.json lists pictures, each with its place; make "
-                              "pictures of it (ffmpeg -i FILM %04d.png) and list these.")
         raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {shortened(pictures[0].stated)}); copy them "
                           "beside it.")
-    views = views_of(pictures)
+    views, points = views_of(pictures), _points(tables)
     frames, times, fps, notes = times_of(pictures, views)
-    fps = next((rate for file, values in tables.items() if (rate := fps_of(values, file)) is not None), fps)
+    stated = next((rate for file, values in tables.items() if (rate := fps_of(values, file)) is not None), None)
+    if len(set(views)) == len(views) and times[0] is None:
+        named = {view: picture for view, picture in zip(views, pictures) if picture.source is not None}
+        filmed = _filmed(path, next(iter(tables)), named, options, fps=stated, points=points)
+        if filmed is not None:
+            return filmed
     gaps = [(views[i], frames[i]) for i, picture in enumerate(pictures) if picture.source is None]
     masks = sum(picture.mask is not None for picture in there)
     entries = [Entry(views[i], frames[i], picture.source, picture.pose, picture.mask, times[i])
                for i, picture in enumerate(pictures) if picture.source is not None]
     held_out = dict.fromkeys(views[i] for i, picture in enumerate(pictures) if picture.split in ("val", "test"))
     return from_entries(
-        path, name, entries, options, frame_count=max(frames) + 1, fps=fps, held_out=list(held_out), axes="RFU",
-        points=_points(tables), mask_means="valid" if masks else "foreground", notes=notes, gaps=gaps)
+        path, name, entries, options, frame_count=max(frames) + 1, fps=stated or fps, held_out=list(held_out), axes="RFU",
+        points=points, mask_means="valid" if masks else "foreground", notes=notes, gaps=gaps)
+
+
+def _filmed(path: Path, file: Path, pictures: dict[str, Picture], options: Options, **settings: Any) -> Capture | None:
+    """The rig whose films are listed, or lie beside the pictures of them that are listed; None where there are not two of these.
+
+    pictures  of each view the one that there is
+    """
+    stems = [stem(picture.stated) for picture in pictures.values()]
+    streams = [picture.source.path if picture.source and picture.source.frame is not None else None for picture in pictures.values()]
+    if listed := [called for called, stream in zip(stems, streams) if stream is not None]:
+        names = dict(zip(listed, short(listed)))
+        called = [names.get(called, called) for called in stems]
+    else:
+        called, streams = films_of_pictures(stems, file, path)
+    places = {view: stream for view, stream in zip(called, streams) if stream is not None}
+    if len(places) < 2 and not listed:
+        return None
+    faults: list[str] = []
+    start, found, rates = films(places, faults, path)
+    rig, held_out = [], []
+    for view, picture in zip(called, pictures.values()):
+        if view in places and picture.source is not None:
+            sources = [None if where is None else replace(picture.source, path=where[0], frame=where[1]) for where in found[view]]
+            rig.append(RigCamera(view, sources, picture.pose))
+            held_out += [view] if picture.split in ("val", "test") else []
+    lost = [picture.stated for picture, stream in zip(pictures.values(), streams) if stream is None]
+    notes = [f"left out for want of a film: {', '.join(lost[:8])}{' ...' if len(lost) > 8 else ''}"] if lost else []
+    fps = settings.pop("fps") or (rates[0] if rates else 30.0)
+    return from_rig(path, name, rig, options, fps=fps, start_frame=start, held_out=held_out, axes="RFU", notes=notes, faults=faults,
+                    **settings)
 
 
 def _files(path: Path) -> dict[str, Path]:
@@ -120,23 +156,25 @@ def _check_local(folder: Path, stated: object, what: str) -> None:
 
 
 def _found(folder: Path, stated: object) -> Path | None:
-    """The picture of that name, with or without its ending."""
+    """The picture of that name, with or without its ending, or the film."""
     path = local(folder, stated)
     if path is None or not path.name or path.name == "..":
         return None
     for candidate in (path, *(path.with_name(path.name + suffix) for suffix in PICTURES)):
-        if candidate.is_file() and candidate.suffix.lower() in PICTURES:
+        if candidate.is_file() and candidate.suffix.lower() in (*PICTURES, *VIDEOS):
             return candidate
     return None
 
 
 def _source(picture: Path, given: dict, where: str, sizes: dict) -> Source:
+    frame = 0 if picture.suffix.lower() in VIDEOS else None
+
     def size() -> tuple[int, int]:
         try:
-            sizes[picture.parent] = picture_size(Source(picture))
+            sizes[picture.parent] = picture_size(Source(picture, frame))
         except FastGSError:  # check() tells of the picture; its neighbours' size will do until then
             if picture.parent not in sizes:
                 raise
         return sizes[picture.parent]
 
-    return Source(picture, None, lens_of(given, where), intrinsics_of(given, where, size))
+    return Source(picture, frame, lens_of(given, where), intrinsics_of(given, where, size))

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from ...util.errors import FastGSError
-from ..sources import Source
+from ..sources import PICTURES, VIDEOS, Source
 
 FPS = 30.0
 
@@ -37,7 +37,7 @@ def views_of(pictures: Sequence[Picture]) -> list[str]:
     timed = any(picture.time is not None for picture in pictures)
     moments = [picture.time if timed else number(picture.stated) for picture in pictures]
     poses = [(picture.split, picture.pose.round(6).tobytes()) for picture in pictures]
-    places = [_stem(picture.stated).split("/") for picture in pictures]
+    places = [stem(picture.stated).split("/") for picture in pictures]
     names = ([_without_number(parts) for parts in places], ["/".join(parts[:-1]) for parts in places], [parts[-1] for parts in places])
     if 2 <= len(set(poses)) <= len(poses) / 2 and _one_at_a_time(poses, moments):
         return _named(poses, names)
@@ -48,7 +48,7 @@ def views_of(pictures: Sequence[Picture]) -> list[str]:
     splits = [picture.split or "camera" for picture in pictures]
     if timed and _one_at_a_time(splits, moments):
         return splits
-    each = _short(["/".join(parts) for parts in places])
+    each = short(["/".join(parts) for parts in places])
     counts = Counter(each)
     return [name if counts[name] == 1 else f"{name}-{i}" for i, name in enumerate(each)]
 
@@ -77,7 +77,7 @@ def times_of(pictures: Sequence[Picture], views: Sequence[str]) -> tuple[list[in
 
 def number(stated: str) -> int:
     """The last number in a picture's name, 0 where there is none."""
-    numbers = re.findall(r"\d+", _stem(stated).rpartition("/")[2])
+    numbers = re.findall(r"\d+", stem(stated).rpartition("/")[2])
     return int(numbers[-1][-9:]) if numbers else 0
 
 
@@ -100,13 +100,13 @@ def _named(keys: Sequence, names: Sequence[Sequence[str]]) -> list[str]:
     for candidate in names:
         pairs = set(zip(keys, candidate))
         if len(pairs) == len(groups) == len(set(candidate)) and all(candidate):
-            return _short(candidate)
+            return short(candidate)
     return [f"cam{groups.index(key):02}" for key in keys]
 
 
-def _stem(stated: str) -> str:
+def stem(stated: str) -> str:
     """The path without ending and leading dots."""
-    path = re.sub(r"\.(png|jpe?g|exr)$", "", stated.replace("\\", "/"), flags=re.IGNORECASE)
+    path = re.sub(rf"({'|'.join(map(re.escape, (*PICTURES, *VIDEOS)))})$", "", stated.replace("\\", "/"), flags=re.IGNORECASE)
     return "/".join(part for part in path.split("/") if part not in ("", "."))
 
 
@@ -116,7 +116,7 @@ def _without_number(parts: list[str]) -> str:
     return "/".join([*parts[:-1], *([last] if last else [])])
 
 
-def _short(names: Sequence[str]) -> list[str]:
+def short(names: Sequence[str]) -> list[str]:
     """The names without the folders in front and behind that all of them share."""
     parts = [name.split("/") for name in names]
     while all(len(p) > 1 for p in parts) and len({p[0] for p in parts}) == 1:

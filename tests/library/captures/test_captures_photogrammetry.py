@@ -53,14 +53,15 @@ def metashape(folder, scale=1.0, turn=SAME, shift=ORIGIN, label="{name}", names=
         'label="not aligned"/></cameras></chunk></document>')
 
 
-def test_metashape_beside_films(tmp_path, tmp_path_factory):
+@pytest.mark.parametrize("label", ["{name}.jpg", "{name}_frame0001", "{name}_0001.png"])
+def test_metashape_beside_films(tmp_path, tmp_path_factory, label):
     films(tmp_path, RIG)
     about = np.radians(30) / 2 * np.array([0.0, 0, 1])
     turn = opencv.from_rodrigues(2 * about, "")
-    metashape(tmp_path, 0.4, turn, np.array([10.0, 20, 3]), "{name}.jpg", [*NAMES, "IMG_0001", "IMG_0002"])
+    metashape(tmp_path, 0.4, turn, np.array([10.0, 20, 3]), label, [*NAMES, "IMG-7", "IMG-8"])
     capture = open_capture(tmp_path)
     assert (capture.layout, capture.axes, capture.clip.fps) == ("Metashape", "RFU", 50)
-    assert ": IMG_0001, IMG_0002" in capture.notes[0]
+    assert "IMG-7" in capture.notes[0] and "IMG-8" in capture.notes[0]
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES, WORLD)
 
 
@@ -117,6 +118,9 @@ def test_a_table_of_realityscan(tmp_path, tmp_path_factory):
     capture = open_capture(tmp_path)
     assert (capture.layout, capture.axes) == ("RealityScan", "RFU") and not problems(capture)
     SQUARE.check(capture, tmp_path_factory.mktemp("cache"), NAMES, WORLD)
+    text = (tmp_path / "cameras.csv").read_text()  # as spreadsheets save it where numbers have commas
+    (tmp_path / "cameras.csv").write_text(text.replace(",", ";").replace(".", ",").replace(",jpg", ".jpg"))
+    SQUARE.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES, WORLD)
     (tmp_path / "cameras.csv").write_text("#name,x,y,alt,heading,pitch,roll,f\n" + "".join(f"{name},0,0,0,90,90,0,30\n" for name in NAMES))
     turn = open_capture(tmp_path).shots[0].camera.world_to_camera[:3, :3]
     np.testing.assert_allclose(turn, [[0, -1, 0], [0, 0, -1], [1, 0, 0]], atol=1e-9)  # level, looking east: south is at its right

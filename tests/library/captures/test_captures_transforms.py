@@ -205,9 +205,22 @@ def test_a_part_of_stated_times_is_a_clip_of_its_own(dnerf):
     assert [shot.t for shot in part.shots] == [0, 0.5] and part.clip.frame_count == 2
 
 
-def test_films_in_place_of_pictures_are_told(tmp_path):
-    """They are not missing: they are there, but of another kind."""
-    (tmp_path / "cam00.mp4").write_bytes(b"film")
-    write(tmp_path / "transforms.json", [frame(RIG, 0, "cam00.mp4")], **intrinsics(SIMPLE))
-    with pytest.raises(fg.FastGSError, match=r"cam00\.mp4.*ffmpeg"):
-        open_capture(tmp_path)
+@pytest.mark.parametrize(("listed", "film"), [
+    ("{}.mp4", "{}.mp4"), ("films/{}/GX010010.MP4", "films/{}/GX010010.MP4"), ("images/{}.png", "films/{}.mp4"),
+    ("./images/{}_frame_0001.jpg", "{}.mov"), ("images/{}", "films/{}/GX010010.MP4")])
+def test_films_that_are_listed_or_lie_beside_their_pictures(tmp_path, tmp_path_factory, listed, film):
+    """A picture of each was enough for its pose; photographs of a walk among them have no films."""
+    for i, name in enumerate(NAMES):
+        place = tmp_path / film.format(name)
+        RIG.write_video(place.parent / "film.mp4", i, fps=50)
+        (place.parent / "film.mp4").rename(place)
+        if listed != film:
+            picture = tmp_path / listed.format(name)
+            RIG.write_picture(picture.with_suffix(picture.suffix or ".png"), i, 0)
+    frames = [frame(RIG, i, listed.format(name)) for i, name in enumerate(NAMES)]
+    RIG.write_picture(tmp_path / "images" / "IMG_7.png", 1, 0)
+    write(tmp_path / "transforms.json", [*frames, frame(RIG, 1, "images/IMG_7.png")], **intrinsics(SIMPLE))
+    capture = open_capture(tmp_path)
+    assert capture.clip == fg.Clip(3, 50, 0) and "IMG_7" in capture.notes[0] and not problems(capture)
+    RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
+
