@@ -47,7 +47,7 @@ def run(inspection: Inspection) -> Section:
     memory = checks.available_memory()
     rows = {}
     inspection.progress("measuring this machine", 0.0)
-    pace, views = costs.measured_pace(), len(inspection.capture.training_views)
+    pace, views = costs.measured_pace(pixels), len(inspection.capture.training_views)
     for preset in LENGTHS:
         seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=capture.clip.frame_count),
                                          len(capture), views, pace)

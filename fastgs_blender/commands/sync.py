@@ -59,7 +59,7 @@ def run(args: argparse.Namespace) -> None:
     refine = capture.posed and not args.quick
     lost: tuple[str, ...] = ()
     pictures = len(capture.views) * min(capture.clip.frame_count, MOST_FRAMES)
-    seconds = estimate(SIDE * SIDE, STEPS, GAUSSIANS, pictures, len(capture.views), measured_pace())[0] if refine else 0.0
+    seconds = estimate(SIDE * SIDE, STEPS, GAUSSIANS, pictures, len(capture.views), measured_pace(SIDE * SIDE))[0] if refine else 0.0
     with estimated("refining the clocks", seconds, note), stages("syncing", args) as tell:
         at = staged(WEIGHTS, tell)
         inspection = Inspection(capture, at)

@@ -1,7 +1,8 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """What suits a capture and the length of a run, and the time and the memory of a run before it starts, on this machine's processor."""
+import math
 import time
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 from ...util.backends import load_backend
 from ...util.remarks import remark
@@ -11,19 +12,20 @@ from .settings import settings as make
 from .spans import spans, steps_of
 
 BASE_MEMORY, PICTURE_MEMORY, GAUSSIAN_BYTES, PIXEL_BYTES = 700 << 20, 768 << 20, 2600, 260
-PIXEL, GAUSSIAN = 1.9e-7, 1e-6
-"""Seconds of one thread that a step takes for each pixel and for each Gaussian, on a machine of 2026."""
-START, DECODED, FEATURES, SWEPT = 3.0, 2.5e-8, 1.5e-6, 0.1
+PIXEL, GAUSSIAN, WIDTH = 1.7e-7, 5.2e-7, 4.3e-7
+"""Seconds of one thread that a step takes on a machine of 2026 for each pixel, for each Gaussian, and for each pixel of a Gaussian's width:
+n Gaussians that cover p pixels are sqrt(p / n) wide (docs/notes/learning-rates.md)."""
+START, DECODED, FEATURES, SWEPT = 3.0, 2.5e-8, 1.5e-6, 0.12
 """What comes before the first step there: seconds in all, for each pixel that is decoded, for each pixel of pictures whose features are
 found and matched, and for each camera and moment of the plane sweep (12 and 20 frames of 10 and 14 cameras, 2026-11-30)."""
-SWEEP_PIXELS, SWEEP_LEAST = 320 * 240, 0.4
-"""Pixels of a picture from which on the sweep takes that long, and the share of it that the smallest ones take."""
+SWEEP_PIXELS, SWEEP_LEAST = 128 * 96, 0.2
+"""Pixels of a picture from which on the sweep takes that long (initial.dense.SWEEP_SIDE), and the share that the smallest ones take."""
 FEATURE_MOMENTS, MOMENTS, MOST_VIEWS, FEATURE_PIXELS = 5, 16, 24, 1024 * 768
 """Moments of which features are found, those of refining cameras too, and at most compared; pictures of a moment at most; and of pixels."""
 SMALL, FULL = 0.9, 0.87
 """Mean share of a picture's pixels, which are fewer first, and of the most Gaussians, over the steps of a run."""
-MADE, MADE_SIZES, MADE_SMALL = 20_000, ((480, 360), (160, 120)), 1.5
-"""Gaussians, sizes of pictures and smallness of Gaussians of the steps that are timed; such steps take about as long as real ones."""
+MADE, MADE_PIXELS, MADE_SMALL = 20_000, 640 * 480, 1.5
+"""Gaussians, pixels at most, and smallness of Gaussians of the steps that are timed; such steps take about as long as real ones."""
 CORES = 2
 ROOM, MOST_ROOMS = 2.5e6, 3.0
 """Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
@@ -66,48 +68,41 @@ def size_of(preset: str, iterations: int = 0, max_gaussians: int = 0, pixels: fl
     return steps_of(frames, first), max_gaussians or round(times * settings.max_gaussians)
 
 
-@dataclass(frozen=True)
-class Pace:
-    """Seconds that a step takes for each pixel and for each Gaussian, with the threads in use."""
-
-    pixel: float
-    gaussian: float
+def seconds_of_step(pixels: float, gaussians: float) -> float:
+    """What a step takes on one thread of a machine of 2026."""
+    return PIXEL * pixels + GAUSSIAN * gaussians + WIDTH * math.sqrt(pixels * gaussians)
 
 
-def usual_pace() -> Pace:
-    """That of a machine of 2026 with as many threads as are in use."""
-    return Pace(PIXEL / thread_count(), GAUSSIAN / thread_count())
+def measured_pace(pixels: int) -> float:
+    """How long this machine takes now, beside whatever else it does, for what takes one second on one thread of a machine of 2026.
 
+    A few steps on a made scene are timed, half a second and more on slow machines.  The first time on a machine kernels are compiled, which
+    training would have to do as well; a remark says so.
 
-def measured_pace() -> Pace:
-    """That of this machine now, beside whatever else it does: a few steps on two made scenes, half a second and more on slow machines.
-
-    The first time on a machine kernels are compiled, which training would have to do as well; a remark says so.
+    pixels  of a picture: the made scene's are as many, but for very large ones
     """
-    from ...kernels.made import is_compiled, made_camera, made_decoder, made_model, step_seconds
+    from ...kernels import made
 
-    if not is_compiled():
-        remark("FAST-GS: compiling training for this machine, to see how fast it is; this happens once and takes about a minute.")
-    large, small = (step_seconds(load_backend("cpu"), made_model(made_decoder(), MADE, MADE_SMALL), made_camera(*size), time.perf_counter)
-                    for size in MADE_SIZES)
-    pixels = [width * height for width, height in MADE_SIZES]
-    pixel = max(large - small, 0.1 * small) / (pixels[0] - pixels[1])
-    return Pace(pixel, max(small - pixel * pixels[1], 0.1 * small) / MADE)
+    if not made.is_compiled():
+        remark("FAST-GS: compiling training for this machine, to see how fast it is; this happens once and takes up to a minute.")
+    width = max(math.isqrt(min(pixels, MADE_PIXELS) * 4 // 3), 16)
+    camera = made.made_camera(width, width * 3 // 4)
+    took = made.step_seconds(load_backend("cpu"), made.made_model(made.made_decoder(), MADE, MADE_SMALL), camera, time.perf_counter)
+    return took / seconds_of_step(camera.width * camera.height, MADE)
 
 
 def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0, views: int = 0,
-             pace: Pace | None = None) -> tuple[float, float]:
+             pace: float = 0.0) -> tuple[float, float]:
     """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures.
 
     pixels    of a picture; pictures: how many there are, 0: very many; views: cameras that are trained on
-    pace      of this machine; None: the usual one
+    pace      measured_pace of this machine; 0: that of a machine of 2026 with as many threads as are in use
     """
-    pace = pace or usual_pace()
-    slower = pace.gaussian / GAUSSIAN
-    moments, alone = min(pictures // max(views, 1), MOMENTS), slower * thread_count()  # one thread finds features
+    pace = pace or 1 / thread_count()
+    moments, alone = min(pictures // max(views, 1), MOMENTS), pace * thread_count()  # one thread finds features
     seconds = alone * (START + FEATURES * min(pixels, FEATURE_PIXELS) * views * min(moments + 1, FEATURE_MOMENTS))
     swept = SWEPT * (SWEEP_LEAST + (1 - SWEEP_LEAST) * min(pixels / SWEEP_PIXELS, 1.0))
-    seconds += slower * (DECODED * pixels * pictures + swept * min(views, MOST_VIEWS) * moments)
-    seconds += iterations * (SMALL * pace.pixel * pixels + FULL * pace.gaussian * gaussians)
+    steps = iterations * seconds_of_step(SMALL * pixels, FULL * gaussians)
+    seconds += pace * (DECODED * pixels * pictures + swept * min(views, MOST_VIEWS) * moments + steps)
     cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY
     return seconds, BASE_MEMORY + cached + GAUSSIAN_BYTES * gaussians + PIXEL_BYTES * pixels

@@ -114,4 +114,4 @@ def _seconds(capture: Capture, settings: Settings) -> float:
     pixels = max((math.prod(decoding.shape(shot, capture.scale)[:2]) for shot in first), default=0)
     run = pixels, steps_of(capture.clip.frame_count, settings), settings.max_gaussians, len(capture.training), len(first)
     usual = costs.estimate(*run)[0]
-    return usual if usual < LONG / 3 else costs.estimate(*run, costs.measured_pace())[0]
+    return usual if usual < LONG / 3 else costs.estimate(*run, costs.measured_pace(pixels))[0]
