@@ -77,6 +77,12 @@ class Action:
                 setattr(self, name, value)
 
 
+def check_frames(operator) -> None:
+    """Raise FastGSError where an operator's last frame comes before its first."""
+    if operator.frame_end < operator.frame_start:
+        raise FastGSError(f"the last frame, {operator.frame_end}, comes before the first, {operator.frame_start}; choose another range.")
+
+
 def draw_options(operator, *names: str):
     """Draw properties of an import or export in its dialog; returns the layout."""
     layout = operator.layout

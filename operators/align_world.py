@@ -8,7 +8,7 @@ from mathutils import Vector
 from ..fastgs_blender.cameras import upright
 from ..fastgs_blender.util.errors import FastGSError
 from ..fastgs_blender.util.rotations import transformed
-from ..scene import arrays
+from ..scene import arrays, objects
 from ..scene.camera import OPENCV
 from ..scene.cameras.subjects import capture_cameras
 from ..scene.cameras.worlds import is_world, move, points, targets
@@ -30,9 +30,8 @@ class _Align(Action):
 
     def act(self, context):
         worlds = targets(context)
-        locked = next((obj for obj in worlds if not obj.is_editable), None)
-        if locked is not None:
-            raise FastGSError(f'"{locked.name}" is linked from another file and cannot be moved; make it local, or an override.')
+        for obj in worlds:
+            objects.check_editable(obj, "moved")
         motion, marks = self.motion(context, worlds)
         move(context, worlds, marks, motion)
 

@@ -13,7 +13,7 @@ from ..scene.meshes.baking import bake_steps
 from ..scene.meshes.options import BakeOptions, bake_options
 from ..scene.meshes.surface import bakeable
 from ..scene.splats import splat_object
-from .action import OBJECT_MODE, Need, draw_column, draw_options
+from .action import OBJECT_MODE, Need, check_frames, draw_column, draw_options
 from .stepwise import Stepwise
 
 
@@ -101,6 +101,5 @@ class FASTGS_OT_bake(Stepwise, BakeOptions, bpy.types.Operator, ExportHelper):
             raise fg.FastGSError(f"{path}: the folder does not exist; choose another or make it first.")
         if path.exists() and not self.overwrite:
             raise fg.FastGSError(f"{path} exists already; choose another name, or set overwrite.")
-        if self.frame_end < self.frame_start:
-            raise fg.FastGSError(f"the last frame, {self.frame_end}, comes before the first, {self.frame_start}; choose a range of frames.")
+        check_frames(self)
         return str(path)

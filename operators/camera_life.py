@@ -35,7 +35,7 @@ class FASTGS_OT_bullet_time(Action, bpy.types.Operator):
         settings = obj.fastgs
         path = "fastgs.offset"
         for name, title in ((path, "Time Shift"), (speeds.PATH, "Speed")):
-            if camera_keys.curve_of(obj, name) or camera_keys.driver_of(obj, name):
+            if camera_keys.is_animated(obj, name):
                 raise FastGSError(f'"{obj.name}" has an animated {title} already; delete its keys and drivers first '
                                   "(Object Properties > 4D Gaussians > Time).")
         rate = settings.fps * scene.render.fps_base / scene.render.fps if settings.fps else 1.0
@@ -43,11 +43,7 @@ class FASTGS_OT_bullet_time(Action, bpy.types.Operator):
         ramp = min(self.ramp, self.length / 2)
         begin, end = float(self.start), float(self.start + self.length)
         # the speed changes linearly on the ramps, so the offset is a parabola there, which a Bezier segment holds exactly
-        keys = [(begin, 0.0, 0.0)]
-        if ramp:
-            keys.append((begin + ramp, -lost * ramp / 2, -lost))
-        else:
-            keys[0] = (begin, 0.0, -lost)
+        keys = [(begin, 0.0, 0.0), (begin + ramp, -lost * ramp / 2, -lost)] if ramp else [(begin, 0.0, -lost)]
         if end - ramp > begin + ramp + 1e-3:
             keys.append((end - ramp, -lost * (end - begin - 1.5 * ramp), -lost))
         if ramp:

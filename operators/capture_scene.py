@@ -13,7 +13,7 @@ from ..scene.filming.film import Plan, film_steps
 from ..scene.filming.options import CaptureOptions
 from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import folders, watch
-from .action import OBJECT_MODE
+from .action import OBJECT_MODE, check_frames
 from .stepwise import Stepwise
 
 
@@ -30,8 +30,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
         options=BLEND_RELATIVE)
     frame_start: IntProperty(name="Start", description="First frame; by default the scene's")
     frame_end: IntProperty(name="End", description="Last frame; by default the scene's")
-    train: BoolProperty(
-        name="Train", description="Train on the capture as soon as it is complete", default=False, options={'SKIP_SAVE'})
+    train: BoolProperty(name="Train", description="Train on the capture as soon as it is complete", default=False, options={'SKIP_SAVE'})
 
     def invoke(self, context, event):
         panel = context.scene.fastgs.training
@@ -62,8 +61,7 @@ class FASTGS_OT_capture_scene(Stepwise, CaptureOptions, bpy.types.Operator):
 
     def _plan(self, context) -> Plan:
         scene = context.scene
-        if self.frame_end < self.frame_start:
-            raise FastGSError(f"the last frame ({self.frame_end}) comes before the first ({self.frame_start}); give another range.")
+        check_frames(self)
         pool = {'SELECTED': context.selected_objects, 'ALL': scene.objects}.get(self.cameras, ())
         names = tuple(sorted(obj.name for obj in pool if obj.type == 'CAMERA'))
         if self.cameras in ('SELECTED', 'ALL') and len(names) < 2:

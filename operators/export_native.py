@@ -14,7 +14,7 @@ from bpy_extras.io_utils import ExportHelper
 from .. import fastgs_blender as fg
 from ..fastgs_blender.formats.scenes import placed, together
 from ..fastgs_blender.formats.straight import logit
-from ..scene.splats.splat_object import sentence
+from .action import Action, Need
 
 BASE, HARMONIC = "radiance:base", "radiance:sh_{}"
 NEEDED = {"position": ("vector", 3), "scale": ("vector", 3), "rotation": ("value", 4), BASE: ("vector", 4)}
@@ -50,12 +50,18 @@ def model_of(attributes) -> fg.GaussianModel:
                             appearance=fg.SH(DEGREES[count]), axes="RFU")
 
 
-class FASTGS_OT_export_native(bpy.types.Operator, ExportHelper):
+def _chosen(context) -> list:
+    """The active and the selected objects that are such point clouds."""
+    return [obj for obj in dict.fromkeys((context.object, *context.selected_objects)) if is_native_splats(obj)]
+
+
+class FASTGS_OT_export_native(Action, bpy.types.Operator, ExportHelper):
     """Write Gaussian-splat point clouds of Blender 5.3 and later as PLY, or in another format by the name's extension"""
 
     bl_idname = "fastgs.export_native"
     bl_label = "Export Native Splats"
     bl_options = {'PRESET'}
+    needs = (Need(lambda context: bool(_chosen(context)), "No Gaussian-splat point cloud is selected; Blender 5.3 and later make them"),)
 
     filename_ext = ".ply"
     check_extension = None
@@ -63,25 +69,11 @@ class FASTGS_OT_export_native(bpy.types.Operator, ExportHelper):
     world: BoolProperty(name="In World Space", description="Write the splats where the objects stand, in Blender's axes; else as the "
                         "first object's own space has them", default=True)
 
-    @classmethod
-    def poll(cls, context):
-        if any(is_native_splats(obj) for obj in (context.object, *context.selected_objects)):
-            return True
-        cls.poll_message_set("No Gaussian-splat point cloud is selected; Blender 5.3 and later make them")
-        return False
-
-    def execute(self, context):
+    def act(self, context):
         depsgraph = context.evaluated_depsgraph_get()
-        chosen = dict.fromkeys(obj for obj in (context.object, *context.selected_objects) if is_native_splats(obj))
-        target = Path(bpy.path.abspath(self.filepath))
-        try:
-            models = [(model_of(shown.data.attributes), np.array(shown.matrix_world, np.float64))
-                      for shown in (obj.evaluated_get(depsgraph) for obj in chosen)]
-            origin = np.eye(4) if self.world else np.linalg.inv(models[0][1])
-            model = together([placed(model, origin @ place) for model, place in models])
-            fg.save(model, target)
-        except fg.FastGSError as error:
-            self.report({'ERROR'}, sentence(error))
-            return {'CANCELLED'}
-        self.report({'INFO'}, f"Exported {len(model):,} splats of {len(models)} point cloud{'s' if len(models) > 1 else ''}")
-        return {'FINISHED'}
+        models = [(model_of(shown.data.attributes), np.array(shown.matrix_world, np.float64))
+                  for shown in (obj.evaluated_get(depsgraph) for obj in _chosen(context))]
+        origin = np.eye(4) if self.world else np.linalg.inv(models[0][1])
+        model = together([placed(model, origin @ place) for model, place in models])
+        fg.save(model, Path(bpy.path.abspath(self.filepath)))
+        return f"Exported {len(model):,} splats of {len(models)} point cloud{'s' if len(models) > 1 else ''}"

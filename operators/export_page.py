@@ -8,17 +8,14 @@ import numpy as np
 from bpy.props import BoolProperty, EnumProperty, FloatProperty, FloatVectorProperty, IntProperty, StringProperty
 from bpy_extras.io_utils import ExportHelper
 
-from .. import fastgs_blender as fg
 from ..engine import scene_linear
 from ..fastgs_blender.formats import web
 from ..fastgs_blender.formats.web.long import compressed_clips, in_pieces
 from ..fastgs_blender.formats.web.page import Page
 from ..scene import objects, web_scene
 from ..scene.background import in_background, relayed
-from .action import draw_column, draw_options
+from .action import check_frames, draw_column, draw_options
 from .exporting import Exporting
-
-LEVELS = {'FINE': "fine", 'SMALL': "small"}
 
 
 class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
@@ -31,8 +28,7 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
     filename_ext = ".html"
     filter_glob: StringProperty(default="*.html", options={'HIDDEN'})
     title: StringProperty(name="Title", description="The page's title; empty: the name of its file", options={'SKIP_PRESET'})
-    selected: BoolProperty(
-        name="Selected Objects", description="Only the selected objects, else all that final frames show", default=False)
+    selected: BoolProperty(name="Selected Objects", description="Only the selected objects, else all that final frames show", default=False)
     frame_start: IntProperty(name="Start", description="First frame of the scene that the page plays", default=1, options={'SKIP_PRESET'})
     frame_end: IntProperty(name="End", description="Last frame of the scene that the page plays", default=250, options={'SKIP_PRESET'})
     loop: BoolProperty(name="Loop", description="Begin again after the last frame", default=True)
@@ -93,13 +89,12 @@ class FASTGS_OT_export_page(Exporting, bpy.types.Operator, ExportHelper):
 
     def write(self, context, target: Path):
         """Yields the progress; returns what was written, in words."""
-        if self.frame_end < self.frame_start:
-            raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
+        check_frames(self)
         self._remarks += [f"The page does not show: {text}." for text in web_scene.not_kept(context)]
         sampling = web_scene.sampled(context, self.frame_start, self.frame_end, self._chosen, self.move)
         shown, eyes, paths = yield from relayed(sampling, lambda step: (*step, "reading frames"))
         page = self._page(context, target, shown, eyes)
-        level = web.Loss.of(LEVELS[self.quality])
+        level = web.Loss.of(self.quality.lower())
         kept = {} if self.quality == 'SMALL' else self._kept(context, page)
         clips = {stands: Path(path) for stands, path in paths.items()}
         saving = in_background(lambda progress: self._save(page, target, level, kept, clips, progress))

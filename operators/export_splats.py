@@ -17,7 +17,7 @@ from ..fastgs_blender.model.chapters import Chapters
 from ..scene import objects, snapshot
 from ..scene.background import in_background, relayed
 from ..scene.splats import parting
-from .action import draw_column, draw_options
+from .action import check_frames, draw_column, draw_options
 from .exporting import Exporting
 
 SAMPLE = 200
@@ -127,8 +127,7 @@ class FASTGS_OT_export(Exporting, bpy.types.Operator, ExportHelper):
     def write(self, context, target: Path):
         """Yields the progress; returns what was written, in words."""
         if self.content == 'RANGE':
-            if self.frame_end < self.frame_start:
-                raise fg.FastGSError(f"the last frame, {self.frame_end}, lies before the first, {self.frame_start}; choose another range.")
+            check_frames(self)
             return (yield from self._write_range(context, target))
         with self.listening():
             model = _model(context) if self.content == 'MODEL' else self._shown(context)[0]

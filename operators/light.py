@@ -17,10 +17,7 @@ class FASTGS_OT_add_light_probe(Action, bpy.types.Operator):
         active = context.object
         around = active is not None and active.select_get() and active.type in objects.MESHABLE and not objects.is_splat(active)
         probe = light_probe.add(context, active if around else None)
-        for obj in context.selected_objects:
-            obj.select_set(False)
-        probe.select_set(True)
-        context.view_layer.objects.active = probe
+        objects.select_only(context, probe)
         if context.scene.fastgs.render_meshes == 'OFF':
             return f'"{probe.name}" lights meshes once Render With Meshes is chosen'
         return f'"{probe.name}" lights the meshes'

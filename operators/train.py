@@ -19,10 +19,8 @@ from ..scene.settings import BLEND_RELATIVE
 from ..scene.training import alignment, folders, installation, plates, results, watch
 from ..scene.training.options import EXISTING, TrainingOptions, arguments
 from .action import Action
-from .stepwise import Stepwise
+from .stepwise import REPORT_EVERY, Stepwise
 
-REPORT_EVERY = 5.0
-"""Seconds between two lines of progress without a window."""
 FROM_PANEL = (*TrainingOptions.__annotations__, "existing", "import_result")
 """The options that a press of the button takes from the panel."""
 
@@ -41,8 +39,7 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
         name="Hide Originals", description="Hide the objects that the capture was filmed from once the model is in the scene",
         default=False, options={'SKIP_SAVE'})
     import_result: BoolProperty(name="Import When Done", description="Add the finished model to the scene", default=True)
-    wait: BoolProperty(
-        name="Wait", description="Return only when training has ended; the default without a window", default=False)
+    wait: BoolProperty(name="Wait", description="Return only when training has ended; the default without a window", default=False)
 
     def invoke(self, context, event):
         self.fill(**{name: getattr(context.scene.fastgs.training, name) for name in FROM_PANEL})

@@ -8,7 +8,6 @@ both is where the model lies.  Nothing else is stored, so undo, copies and libra
 import threading
 
 import numpy as np
-from mathutils import Matrix
 
 from ..fastgs_blender.util import rotations
 from . import arrays
@@ -44,11 +43,6 @@ def model_matrix(obj) -> np.ndarray:
 def placement(obj, world=None) -> np.ndarray:
     """[4, 4] float64 from the model's space to the world, by the object's matrix or that of an instance."""
     return np.array(obj.matrix_world if world is None else world, np.float64) @ model_matrix(obj)
-
-
-def placement_matrix(obj) -> Matrix:
-    """The same as Blender's type."""
-    return Matrix(placement(obj).tolist())
 
 
 def write(mesh, place: np.ndarray, matrix: np.ndarray) -> None:

@@ -69,6 +69,12 @@ def select_only(context, *chosen: bpy.types.Object) -> None:
     context.view_layer.objects.active = chosen[0]
 
 
+def check_editable(obj: bpy.types.Object, done: str) -> None:
+    """Raise FastGSError, which says what cannot be done, where an object is linked from another file."""
+    if not obj.is_editable:
+        raise fg.FastGSError(f'"{obj.name}" is linked from another file and cannot be {done}; make it local, or an override.')
+
+
 def duplicate(context, obj: bpy.types.Object) -> bpy.types.Object:
     """A copy of an object, which shows the same file by the same proxy; it is selected alone."""
     made = obj.copy()

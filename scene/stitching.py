@@ -41,18 +41,16 @@ def shown(obj, depsgraph) -> Instance:
 
 def check_movable(obj, fixed) -> None:
     """Raise FastGSError where an object cannot be moved onto another, or would not stay there."""
-    if not obj.is_editable:
-        raise FastGSError(f'"{obj.name}" is linked from another file and cannot be moved; make it local, or an override.')
+    objects.check_editable(obj, "moved")
     above = fixed
     while above is not None:
         if above == obj:
             raise FastGSError(f'"{fixed.name}" is a child of "{obj.name}" and would move with it; align the other way round.')
         above = above.parent
     for path in PLACES:
-        for name in (path, *(f"{path}[{i}]" for i in range(4))):
-            if keys.curve_of(obj, name) or keys.driver_of(obj, name):
-                raise FastGSError(f'the place of "{obj.name}" is animated, so it would not stay where it is put; parent it to an empty, '
-                                  "and clear its keys and drivers.")
+        if keys.is_animated(obj, path, 4):
+            raise FastGSError(f'the place of "{obj.name}" is animated, so it would not stay where it is put; parent it to an empty, '
+                              "and clear its keys and drivers.")
 
 
 def move(context, obj, fixed, motion: np.ndarray) -> None:
@@ -79,12 +77,10 @@ def move(context, obj, fixed, motion: np.ndarray) -> None:
 
 def grade(obj, looks: dict) -> None:
     """Give an object looks.  Raises FastGSError where keys or drivers hold one of them, or it is linked."""
-    if not obj.is_editable:
-        raise FastGSError(f'"{obj.name}" is linked from another file and cannot be graded; make it local, or an override.')
+    objects.check_editable(obj, "graded")
     for name in looks:
-        for path in (f"fastgs.{name}", *(f"fastgs.{name}[{i}]" for i in range(3))):
-            if keys.curve_of(obj, path) or keys.driver_of(obj, path):
-                raise FastGSError(f'the {name} of "{obj.name}" is animated and would not stay; clear its keys first.')
+        if keys.is_animated(obj, f"fastgs.{name}", 3):
+            raise FastGSError(f'the {name} of "{obj.name}" is animated and would not stay; clear its keys first.')
     for name, value in looks.items():
         setattr(obj.fastgs, name, value)
     obj.update_tag()
@@ -100,8 +96,7 @@ def cross_fade(before, after, first: float, frames: float, overlap: float) -> No
     for obj in (before, after):
         if keys.driver_of(obj, "fastgs.opacity"):
             raise FastGSError(f'a driver sets the opacity of "{obj.name}"; remove it, so that it can be keyed.')
-        if not obj.is_editable:
-            raise FastGSError(f'"{obj.name}" is linked from another file and cannot be keyed; make it local, or an override.')
+        objects.check_editable(obj, "keyed")
     long = frames * (1 - overlap / 2)  # of each fade: with an overlap of 1 the one ends where the other begins
     for obj, begins, values in ((before, first + frames - long, (1.0, 0.0)), (after, first, (0.0, 1.0))):
         full = _full(obj, first if obj == before else first + frames)
@@ -128,7 +123,7 @@ def _full(obj, frame: float) -> float:
 def check_loop(obj) -> None:
     """Raise FastGSError where a loop's settings would not show."""
     for name in ("trim_start", "trim_end", "fade"):
-        if keys.curve_of(obj, f"fastgs.{name}") or keys.driver_of(obj, f"fastgs.{name}"):
+        if keys.is_animated(obj, f"fastgs.{name}"):
             raise FastGSError(f'the {name.replace("_", " ")} of "{obj.name}" is animated; clear its keys and drivers first.')
 
 

@@ -61,9 +61,11 @@ def name_of(value: object, where: str) -> str:
     return value
 
 
-def repeated(names: Iterable[str]) -> str | None:
-    """The first name that stands twice, None where all differ."""
-    return next((name for name, times in Counter(names).items() if times > 1), None)
+def check_names(names: Iterable[str], file: Path) -> None:
+    """Raise FastGSError where two cameras of a file have one name."""
+    twice = next((name for name, times in Counter(names).items() if times > 1), None)
+    if twice is not None:
+        raise FastGSError(f"{file}: camera {twice} is there twice; names must differ.")
 
 
 def numbers(value: object, shape: tuple[int, ...] | None, where: str) -> np.ndarray:

@@ -147,9 +147,7 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     Raises FastGSError where there are no films, or two cameras are called alike.
     """
     names = [camera.name for camera in cameras]
-    twice = poses.repeated(names)
-    if twice is not None:
-        raise FastGSError(f"{file}: camera {twice} is there twice.")
+    poses.check_names(names, file)
     called: list[str] = names
     notes: list[str] = []
     if photographed:

@@ -32,8 +32,7 @@ ALLOTTING = 0.9
 """Share of the time of compressing that deciding how finely takes; the rest is packing."""
 
 
-def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]
-           ) -> tuple[dict[str, np.ndarray], dict, np.ndarray]:
+def packed(model: GaussianModel, loss: Loss, progress: Callable[[float], None]) -> tuple[dict[str, np.ndarray], dict, np.ndarray]:
     """Arrays of bytes by name, the entry of the header, and the bits [M, P] of the model's parts in the new order.
 
     progress is called with 0..1, and what it raises passes through.
@@ -157,7 +156,8 @@ def _steps(stated: object, template: GaussianModel) -> Steps:
     base, tint, least = values.get("base"), values.get("tint"), values.get("least")
     width = template.appearance.width
     good = isinstance(base, dict) and isinstance(tint, list) and len(tint) == width and type(least) is int and abs(least) <= 200
-    if not good or not all(_is_step(v) for v in (*(base.get(name) for name in ATTRIBUTES), *tint)):
+    steps = (*(base.get(name) for name in ATTRIBUTES), *tint) if good else ()
+    if not good or not all(isinstance(step, float) and 2.0**-LARGEST <= step <= 2.0**LARGEST for step in steps):
         raise FastGSError("its header does not say how finely the numbers of a segment are kept; copy the file again.")
     chained, paired = values.get("chained"), values.get("paired")
     good = isinstance(chained, list) and all(isinstance(name, str) for name in chained) and isinstance(paired, list)
@@ -167,7 +167,3 @@ def _steps(stated: object, template: GaussianModel) -> Steps:
         raise FastGSError("its header says of a column that it is a difference from one that is a difference itself; copy the file again.")
     return Steps({name: float(base[name]) for name in ATTRIBUTES}, np.array(tint, float), tables["turn"], tables["motion"], tables["swing"],
                  chained, [(k, other) for k, other in paired], least)
-
-
-def _is_step(value: object) -> bool:
-    return isinstance(value, float) and 2.0**-LARGEST <= value <= 2.0**LARGEST

@@ -5,7 +5,6 @@ The native file holds it whole, PLY files in comments and .splatv in its JSON, s
 """
 import json
 import math
-from collections.abc import Collection
 from dataclasses import MISSING, asdict, fields
 from typing import Any
 
@@ -16,7 +15,7 @@ from ..model.gaussians import AXES, Clip, GaussianModel, Raster
 from ..model.motion import BASES, Basis, Polynomial, Static, basis_from_dict, basis_to_dict
 from ..model.surroundings import Backdrop, Surroundings, Viewpoint
 from ..model.temporal import Always, Radial, temporal_by_name
-from ..util.arguments import like, shown
+from ..util.arguments import like, one_of, shown
 from ..util.errors import FastGSError
 
 MAX_PROVENANCE = 1 << 16
@@ -50,8 +49,8 @@ def understand(values: dict) -> dict:
         "appearance": ("appearance", _appearance),
         "raster": ("raster", lambda v: _from_fields(Raster, v, "rasteriser constant")),
         "clip": ("clip", lambda v: _from_fields(Clip, v, "clip's")),
-        "axes": ("axes", lambda v: _one_of(v, AXES, "axes")),
-        "colour_space": ("colour_space", lambda v: _one_of(v, ("srgb", "linear"), "colour space")),
+        "axes": ("axes", lambda v: one_of(v, "its axes", AXES)),
+        "colour_space": ("colour_space", lambda v: one_of(v, "its colour space", ("srgb", "linear"))),
         "provenance": ("provenance", _provenance),
         "surroundings": ("surroundings", _surroundings),
     }
@@ -102,12 +101,6 @@ def from_comments(lines: tuple[str, ...], keys: tuple[str, ...]) -> dict:
         if tag == "fastgs" and key in keys:
             values[key] = read_json(text)
     return understand(values)
-
-
-def _one_of(value: Any, known: Collection[str], what: str) -> Any:
-    if value not in known:
-        raise FastGSError(f"its {what} must be one of {', '.join(known)}, not {shown(value)}.")
-    return value
 
 
 def _typed(value: Any, example: object, what: str) -> Any:

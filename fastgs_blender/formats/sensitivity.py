@@ -14,11 +14,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from ..cameras.camera import Camera
+from ..cameras.opening import RIGHT_DOWN_FORWARD
 from ..cameras.viewpoints import camera_of
 from ..model.appearance import Features
 from ..model.filmed_from import BAKED, mean_direction, one_sided
 from ..model.framing import is_subject, without_backdrop
-from ..model.gaussians import AXES, GaussianModel
+from ..model.gaussians import GaussianModel
 from ..model.pruning import scores
 from ..model.slicing import sigmoid
 from ..rendering.api import render
@@ -43,7 +44,6 @@ WIDE = 0.54
 RIG = ((0.0, 0.0, 0.0), (-0.12, 0.05, 0.0), (0.12, -0.05, 0.0), (0.05, 0.04, 0.02), (-0.06, -0.05, 0.0), (-0.3, 0.0, 0.05),
        (0.1, 0.03, 0.0), (0.3, -0.03, 0.05), (0.0, 0.0, 0.2), (0.0, 0.05, -0.1))
 """Guessed positions of cameras that look forward: right, down and forward of the origin, divided by the distance of the scene."""
-DOWN = dict(zip(AXES, ((0.0, 1.0, 0.0), (0.0, 0.0, -1.0), (0.0, -1.0, 0.0)), strict=True))
 BACKGROUNDS = 0.0, 0.5, 0.0, 1.0
 """Of the pictures: over black, as renders are looked at most, what is missing of a bright surface shows; over white, of a dark one."""
 OPAQUE = 4.5
@@ -77,8 +77,7 @@ class Sensitivity:
         return Sensitivity({name: array[index] for name, array in self.rows.items()}, self.promise[index])
 
 
-def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None,
-          span: tuple[float, float] = (0.0, 1.0)) -> list[Shot]:
+def shots(model: GaussianModel, count: int, first: int = 0, width: int | None = None, span: tuple[float, float] = (0.0, 1.0)) -> list[Shot]:
     """`count` cameras and times at which a model's pictures are measured; another `first` gives other ones.
 
     width  pixels of the pictures' longer side, instead of WIDTH
@@ -146,7 +145,7 @@ def guessed_cameras(model: GaussianModel) -> list[Camera]:
     """
     part = _seen(model)
     position = part.position[is_subject(part.position)].astype(np.float64)
-    down = np.array(DOWN[model.axes])
+    down = RIGHT_DOWN_FORWARD[model.axes][1]
     mean = mean_direction(position)
     if one_sided(position, -down) and model.provenance.get("source") != BAKED:
         depth = float(np.median(position @ mean) / np.linalg.norm(mean))

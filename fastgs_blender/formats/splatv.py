@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 
+from ..cameras.opening import RIGHT_DOWN_FORWARD
 from ..model.gaussians import Clip, GaussianModel
 from ..model.slicing import sigmoid
 from ..model.temporal import Radial
@@ -147,9 +148,8 @@ def _same(model: GaussianModel, arrays: dict[str, np.ndarray]) -> bool:
 def _camera(model: GaussianModel) -> dict:
     """Where a viewer begins: in front of the model, all of it in view."""
     low, high = np.percentile(model.position, (2, 98), axis=0).astype(np.float64) if len(model) else np.zeros((2, 3))
-    right, down, forward = {"RDF": ((1, 0, 0), (0, 1, 0), (0, 0, 1)), "RFU": ((1, 0, 0), (0, 0, -1), (0, 1, 0)),
-                            "RUB": ((1, 0, 0), (0, -1, 0), (0, 0, -1))}[model.axes]
+    turn = RIGHT_DOWN_FORWARD[model.axes].astype(int)
     distance = max(float(np.linalg.norm(high - low)), 1e-3)
     return {"id": 0, "img_name": "0", "width": 1280, "height": 720, "fx": 1000.0, "fy": 1000.0,
-            "position": list((low + high) / 2 - 1.5 * distance * np.array(forward)),
-            "rotation": [list(row) for row in zip(right, down, forward, strict=True)]}
+            "position": list((low + high) / 2 - 1.5 * distance * turn[2]),
+            "rotation": turn.T.tolist()}

@@ -33,7 +33,7 @@ def render_panorama(render: Callable[..., dict[str, np.ndarray]], camera: Panora
            np.full(shape if p.channels == 1 else (*shape, p.channels), p.empty) for p in wanted}
     best, used = np.zeros(shape), [i for i in range(len(FACES)) if shares[i].any()]
     for number, i in enumerate(used):
-        found = render(camera.face(i), passes=tuple(out), settings=_without_neighbours(settings),
+        found = render(camera.face(i), passes=tuple(out), settings=replace(settings, before=None, after=None),
                        exposure=exposure and _of_face(exposure, i),
                        progress=lambda f, number=number: progress((number + f) / len(used)))
         at = np.nonzero(shares[i] > 0)
@@ -69,10 +69,6 @@ def _seen_by(seen: np.ndarray, face: np.ndarray) -> tuple[np.ndarray, np.ndarray
         share = np.clip((np.pi / 4 + MARGIN - angle) / (2 * MARGIN), 0, 1)
         share = share * share * (3 - 2 * share)
     return np.where(turned[..., 2] > 0, np.nan_to_num(share), 0), place
-
-
-def _without_neighbours(settings: PassSettings) -> PassSettings:
-    return replace(settings, before=None, after=None)
 
 
 def _of_face(exposure: Exposure, index: int) -> Exposure | None:

@@ -56,6 +56,12 @@ def driver_of(owner: bpy.types.ID, path: str) -> bpy.types.FCurve | None:
     return None if animation is None else next((curve for curve in animation.drivers if _animates(curve, path)), None)
 
 
+def is_animated(owner: bpy.types.ID, path: str, count: int = 0) -> bool:
+    """Whether a curve or a driver animates a property, or one of its so many numbers."""
+    paths = (path, *(f"{path}[{i}]" for i in range(count)))
+    return any(curve_of(owner, each) is not None or driver_of(owner, each) is not None for each in paths)
+
+
 def _animates(curve, path: str) -> bool:
     muted = curve.mute or (curve.group is not None and curve.group.mute)
     return not muted and path in (curve.data_path, f"{curve.data_path}[{curve.array_index}]")

@@ -29,7 +29,7 @@ def splat_of(context, space: str) -> bpy.types.Object | None:
 
 def world_matrix(splat: bpy.types.Object | None, axes: str) -> Matrix:
     """From the file's world to Blender's."""
-    return model_space.placement_matrix(splat) if splat else objects.axes_matrix(axes)
+    return Matrix(model_space.placement(splat).tolist()) if splat else objects.axes_matrix(axes)
 
 
 def axes_of(splat: bpy.types.Object | None, axes: str) -> str:

@@ -68,9 +68,7 @@ def load(path: Path, options: Options) -> Capture:
     cameras = [_camera(folder, poses.table(entry, f"{where}camera {i}"), f"{where}camera {i}", count, start, colour, faults)
                for i, entry in enumerate(entries)]
     names = [camera.name for camera in cameras]
-    twice = poses.repeated(names)
-    if twice is not None:
-        raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
+    poses.check_names(names, file)
     held_out = [poses.name_of(v, where + "its held_out") for v in poses.listed(values.get("held_out", []), where + "its held_out", 0)]
     if set(held_out) - set(names):
         raise FastGSError(f"{file}: it holds out {min(set(held_out) - set(names))!r}, which is none of its cameras.")

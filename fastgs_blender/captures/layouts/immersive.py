@@ -48,9 +48,7 @@ def load(path: Path, options: Options) -> Capture:
     file, videos = folder / MODELS, _videos(folder)
     entries = [poses.table(entry, f"{file}: camera {i}") for i, entry in enumerate(poses.listed(read_json(file), f"{file}: it"))]
     names = [poses.name_of(entry.get("name"), f"{file}: camera {i}: its name") for i, entry in enumerate(entries)]
-    twice = poses.repeated(names)
-    if twice is not None:
-        raise FastGSError(f"{file}: two cameras are called {twice!r}; names must differ.")
+    poses.check_names(names, file)
     gains = dict([GAINS[folder.resolve().name]]) if folder.resolve().name in GAINS else {}
     faults: list[str] = []
     cameras, rates = [], []

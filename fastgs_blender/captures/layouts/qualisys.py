@@ -83,9 +83,7 @@ def _cameras(file: Path) -> list[ET.Element]:
         raise FastGSError(f"{file}: there are no cameras with a serial in it; export the calibration again.")
     if len(cameras) > MOST_CAMERAS:
         raise FastGSError(f"{file}: it has {len(cameras)} cameras, and at most {MOST_CAMERAS} are read.")
-    twice = poses.repeated(serials)
-    if twice is not None:
-        raise FastGSError(f"{file}: camera {twice} is there twice.")
+    poses.check_names(serials, file)
     return cameras
 
 

@@ -235,7 +235,7 @@ def test_broken_descriptions_are_one_sentence(capture_folder, what):
 
 
 @pytest.mark.parametrize(("key", "value", "words"), [
-    ("name", "../elsewhere", "name"), ("name", "cam01", "called 'cam01'"), ("name", 3, "name"), ("width", 0, "width"),
+    ("name", "../elsewhere", "name"), ("name", "cam01", "camera cam01 is there twice"), ("name", 3, "name"), ("width", 0, "width"),
     ("fx", -1, "above 0"), ("fy", None, "finite"), ("world_to_camera", np.full((4, 4), 2).tolist(), "rotation"),
     ("world_to_camera", [np.eye(4).tolist()] * 2, "2 poses for 3 frames"), ("world_to_camera", "x", "finite"),
     ("distortion", {"model": "anamorphic"}, "anamorphic"), ("distortion", {"model": "opencv", "k9": 1}, "k9"),

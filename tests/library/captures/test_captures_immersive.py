@@ -85,7 +85,7 @@ def test_known_exposures_are_evened(scene):
     (lambda m: m[0].update(projection_type="mirror"), "'mirror'"),
     (lambda m: m[0].update(radial_distortion=[0.1]), "radial_distortion"),
     (lambda m: m[0].update(width=0), "width"),
-    (lambda m: m[1].update(name="camera_0001"), "two cameras"),
+    (lambda m: m[1].update(name="camera_0001"), "there twice"),
     (lambda m: m.clear(), "at least 1"),
     (lambda m: [entry.update(name=entry["name"] + "x") for entry in m], "none.*cameras"),
 ])
