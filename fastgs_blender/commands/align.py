@@ -10,11 +10,7 @@ In Blender, Align by Overlap moves the object.
 import argparse
 
 from ..util.errors import FastGSError
-from ..util.progress import progress
-from .shared import model_file, print_json, say_table, use_threads
-
-STEPS = 100
-"""Parts of the whole that progress counts."""
+from .shared import model_file, print_json, say_table, shares, use_threads
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,8 +38,8 @@ def run(args: argparse.Namespace) -> None:
             raise FastGSError(f"{path} has the frames 0 to {source.clip.frame_count - 1}, so there is no frame {frame:g}.")
         model, t = source.moment(source.clip.t_of_frame(frame))
         pair.append(Instance(model, np.eye(4), t, name=path))
-    with progress(STEPS, "step", "fitting", quiet=args.quiet) as bar:
-        found = align(*pair, scale=args.scale, progress=lambda share: bar.to(int(STEPS * share)))
+    with shares("fitting", args) as show:
+        found = align(*pair, scale=args.scale, progress=show)
     if args.json:
         print_json({"matrix": found.matrix.tolist(), "scale": found.scale, "residual": found.residual, "overlap": found.overlap,
                     "agreement": found.agreement})

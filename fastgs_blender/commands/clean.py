@@ -12,11 +12,7 @@ import argparse
 from pathlib import Path
 
 from ..util.errors import FastGSError
-from ..util.progress import progress
-from .shared import human_bytes, model_file, note, print_json, refuse_existing, say, say_table, use_threads
-
-STEPS = 100
-"""Parts of the whole that progress counts."""
+from .shared import human_bytes, model_file, note, print_json, refuse_existing, say, say_table, shares, use_threads
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -42,8 +38,8 @@ def run(args: argparse.Namespace) -> None:
         raise FastGSError(f"{args.model} is a sequence, whose frames have other Gaussians each; fastgs convert makes one model of it.")
     refuse_existing([out, *formats.written_files(source, out)], args)
     kinds = None if args.kinds is None else args.kinds.split(",")
-    with progress(STEPS, "step", "looking", quiet=args.quiet) as bar:
-        found = clean(source, args.strength, kinds=kinds, progress=lambda share: bar.to(int(STEPS * share)))
+    with shares("looking", args) as show:
+        found = clean(source, args.strength, kinds=kinds, progress=show)
     left = source.take(~found.taken)
     if not len(left):
         raise FastGSError(f"nothing would be left of {args.model}; give a smaller --strength.")

@@ -11,11 +11,7 @@ In Blender, Make Loop does it with the object.
 """
 import argparse
 
-from ..util.progress import progress
-from .shared import model_file, print_json, say_table, use_threads
-
-STEPS = 100
-"""Parts of the whole that progress counts."""
+from .shared import model_file, print_json, say_table, shares, use_threads
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -33,8 +29,8 @@ def run(args: argparse.Namespace) -> None:
 
     use_threads(args.threads)
     source = formats.open_source(model_file(args.model))
-    with progress(STEPS, "step", "comparing", quiet=args.quiet) as bar:
-        loop = find_loop(source, least=args.least, fade=args.fade, progress=lambda share: bar.to(int(STEPS * share)))
+    with shares("comparing", args) as show:
+        loop = find_loop(source, least=args.least, fade=args.fade, progress=show)
     if args.json:
         print_json({"model": args.model, **vars(loop)})
         return

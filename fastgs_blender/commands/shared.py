@@ -26,7 +26,7 @@ PROBLEMS, FAILED = 1, 2
 """Exit codes: something is wrong with what was looked at; the command failed.  0: all is well; util/stopping.py has that
 of what was stopped."""
 STEPS, EVERY = 1000, 0.3
-"""Parts of the whole that stages() counts, and seconds between two writings of its file."""
+"""Parts of the whole that progress counts, and seconds between two writings of --status' file."""
 OWN = "own"
 """The background that a model's decoder shows; a model without one shows black."""
 NAMED_COLOURS = {OWN: "#000000", "black": "#000000", "white": "#ffffff", "grey": "#808080", "gray": "#808080"}
@@ -41,6 +41,13 @@ def add_device(parser: argparse.ArgumentParser) -> None:
 def add_status(parser: argparse.ArgumentParser) -> None:
     """--status, which stages() writes."""
     parser.add_argument("--status", metavar="FILE", help="a file that tells other programs how far this is, as JSON")
+
+
+@contextmanager
+def shares(what: str, args: argparse.Namespace) -> Iterator[Callable[[float], None]]:
+    """A function of the share of the whole that is done, which shows it."""
+    with progress(STEPS, "step", what, quiet=args.quiet) as bar:
+        yield lambda share: bar.to(int(STEPS * share))
 
 
 @contextmanager
