@@ -60,8 +60,7 @@ class FASTGS_OT_import_camera_path(Action, bpy.types.Operator, ImportHelper):
     keep_speed: BoolProperty(
         name="Keep Speed", description="Stretch the path where its frame rate differs from the scene's; else one frame is one frame",
         default=False)
-    set_scene: BoolProperty(
-        name="Set Scene", description="Give the scene the path's length, frame rate and picture size", default=False)
+    set_scene: BoolProperty(name="Set Scene", description="Give the scene the path's length, frame rate and picture size", default=False)
 
     def draw(self, context):
         draw_options(self, "space", "keys", "new_camera", "keep_speed", "set_scene")

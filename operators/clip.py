@@ -68,10 +68,8 @@ class FASTGS_OT_add_sound(_OnClip, bpy.types.Operator, ImportHelper):
     bl_idname = "fastgs.add_sound"
     bl_label = "Add Sound"
 
-    filter_glob: StringProperty(
-        default="*.wav;*.flac;*.ogg;*.mp3;*.m4a;*.aac;*.mp4;*.mov;*.mkv;*.webm;*.avi", options={'HIDDEN'})
-    sync: BoolProperty(
-        name="Sync to Audio", description="Let playback drop frames rather than leave the sound behind", default=True)
+    filter_glob: StringProperty(default="*.wav;*.flac;*.ogg;*.mp3;*.m4a;*.aac;*.mp4;*.mov;*.mkv;*.webm;*.avi", options={'HIDDEN'})
+    sync: BoolProperty(name="Sync to Audio", description="Let playback drop frames rather than leave the sound behind", default=True)
 
     def act(self, context):
         strip = add_sound(context.scene, context.object, Path(bpy.path.abspath(self.filepath)))

@@ -36,8 +36,7 @@ class FASTGS_OT_import(Action, bpy.types.Operator, ImportHelper):
     directory: StringProperty(subtype='DIR_PATH', options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
     files: CollectionProperty(type=bpy.types.OperatorFileListElement, options={'HIDDEN', 'SKIP_SAVE', 'SKIP_PRESET'})
 
-    relative_path: BoolProperty(
-        name="Relative Path", description="Store the path relative to the .blend, once that is saved", default=True)
+    relative_path: BoolProperty(name="Relative Path", description="Store the path relative to the .blend, once that is saved", default=True)
     as_sequence: BoolProperty(
         name="Numbered Files as Sequences", description="Make one object, an animation, of chosen files whose names differ in one number; "
         "else each file becomes an object", default=True)

@@ -55,8 +55,7 @@ class FASTGS_OT_select_gaussians(Action, bpy.types.Operator):
             ('SUBTRACT', "Subtract", "They are taken out of the selection, and Grow to the Thing does not reach them", 2),
         ), default='SET', options={'SKIP_SAVE'})
     through: BoolProperty(name="Through", description="All Gaussians there, and not only those that are seen", default=True)
-    radius: FloatProperty(
-        name="Radius", description="Radius of the brush, in pixels", default=40.0, min=1.0, max=2000.0, subtype='PIXEL')
+    radius: FloatProperty(name="Radius", description="Radius of the brush, in pixels", default=40.0, min=1.0, max=2000.0, subtype='PIXEL')
     path: CollectionProperty(
         name="Path", description="Where the mouse went, in pixels of the region from its lower left; of a box two corners",
         type=bpy.types.OperatorMousePath, options={'SKIP_SAVE'})

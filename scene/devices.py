@@ -114,8 +114,7 @@ def _verdict_of(adapter, progress) -> Verdict | None:
         while not running.wait(EVERY):
             progress(0.0)
         told = running.found["devices"] if running.found else ()
-        verdict = next((read_verdict(each) for each in told
-                        if (each["name"], each["driver"]) == (adapter.name, adapter.driver)), None)
+        verdict = next((read_verdict(each) for each in told if (each["name"], each["driver"]) == (adapter.name, adapter.driver)), None)
         if verdict is not None:
             return verdict
     return Verdict(running.trouble.rstrip(".")) if running.trouble else None

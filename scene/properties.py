@@ -90,8 +90,7 @@ class FASTGS_PG_probe(bpy.types.PropertyGroup):
     use: BoolProperty(
         name="Light Probe", description="Light the meshes of Render With Meshes by what the splats look like from this object",
         default=False, update=updates.viewports)
-    strength: FloatProperty(
-        name="Strength", description="Factor on the light of the splats", default=1.0, min=0.0, soft_max=10.0)
+    strength: FloatProperty(name="Strength", description="Factor on the light of the splats", default=1.0, min=0.0, soft_max=10.0)
     highlights: FloatProperty(
         name="Highlights", description="How many times as bright as captured white is: captures cut off the light of fires and lamps. "
         "Colours below a linear value of 0.5 stay", default=4.0, min=1.0, soft_max=32.0)
@@ -121,17 +120,13 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     file: PointerProperty(name="Cache File", description="The datablock that holds the path of the file", type=bpy.types.CacheFile)
     file_hash: StringProperty(
         name="File Hash", description="Fingerprint of the file when it was imported or last reloaded")
-    gaussian_count: IntProperty(
-        name="Gaussians", description="Number of Gaussians in the file", min=0)
-    frame_count: IntProperty(
-        name="Frames", description="Number of frames of the capture", min=0)
+    gaussian_count: IntProperty(name="Gaussians", description="Number of Gaussians in the file", min=0)
+    frame_count: IntProperty(name="Frames", description="Number of frames of the capture", min=0)
     fps: FloatProperty(
         name="Frame Rate", description="Frames per second of the capture; 0 where it has none and follows the scene's", min=0.0)
 
-    has_backdrop: BoolProperty(
-        name="Has a Backdrop", description="Whether the file says which Gaussians are sky or far walls")
-    camera_count: IntProperty(
-        name="Cameras", description="Number of the capture's cameras whose places the file knows", min=0)
+    has_backdrop: BoolProperty(name="Has a Backdrop", description="Whether the file says which Gaussians are sky or far walls")
+    camera_count: IntProperty(name="Cameras", description="Number of the capture's cameras whose places the file knows", min=0)
     backdrop: EnumProperty(
         name="Backdrop", description="When to show the Gaussians that stand for sky and far walls", items=BACKDROP, default='INSIDE',
         override=_OWN, update=updates.viewports)
@@ -179,10 +174,8 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
         default=False, override=_OWN, update=updates.lamps)
     part: StringProperty(
         name="Part", description="Which Gaussians of the file are this object's own, packed; empty: all", options={'HIDDEN'}, **_SHOWN)
-    mask: StringProperty(
-        name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
-    selection: StringProperty(
-        name="Selection", description="Which Gaussians are selected, packed", options={'HIDDEN'}, override=_OWN)
+    mask: StringProperty(name="Erased", description="Which Gaussians were erased by hand, packed", options={'HIDDEN'}, **_SHOWN)
+    selection: StringProperty(name="Selection", description="Which Gaussians are selected, packed", options={'HIDDEN'}, override=_OWN)
     wanted: StringProperty(
         name="Wanted", description="Which Gaussians were drawn over to be selected, packed: where Grow begins",
         options={'HIDDEN'}, override=_OWN)

@@ -132,8 +132,7 @@ def _tinted(item: FileInstance, erased: bool) -> list[FileInstance]:
     made = [(parts.union(hidden, *(mask for mask, _ in picked)), None)]
     made += [(parts.union(hidden, parts.all_but(mask)), look) for mask, look in picked]
     made += [(parts.all_but(hidden), ERASED)] * bool(erased and hidden)
-    return [replace(item, settings=replace(item.settings if look is None else item.settings.under(look), mask=mask))
-            for mask, look in made]
+    return [replace(item, settings=replace(item.settings if look is None else item.settings.under(look), mask=mask)) for mask, look in made]
 
 
 def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool | None = None) -> Snapshot:

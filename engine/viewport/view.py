@@ -219,8 +219,7 @@ class View:
             self.atlas.clear()  # the last object is gone or hidden
         self.picture.draw(camera, [instance.viewed(camera) for instance in instances], self.atlas, self._order[1], depth,
                           deep or around is not None, gone)
-        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None and not around.moving else None,
-                             share=share)
+        self.picture.resolve(**vars(display), depths=around.depths if around and depth is None and not around.moving else None, share=share)
 
     def _share(self, whole: bool, at_once: bool) -> float:
         """The weight of the new picture while it fades in over that of a moving view at the same moment; 1 otherwise."""

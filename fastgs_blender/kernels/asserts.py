@@ -104,8 +104,7 @@ def mcmc_penalty(parameters: Any, gradients: Any) -> None:
 
 def mcmc_noise(parameters: Any) -> None:
     """TrainingBackend.mcmc_noise()."""
-    shapes(*((parameters[name], wanted) for name, wanted in
-             (("opacity", "n"), ("position", "n 3"), ("scale", "n 3"), ("rotation", "n 4"))))
+    shapes(*((parameters[name], wanted) for name, wanted in (("opacity", "n"), ("position", "n 3"), ("scale", "n 3"), ("rotation", "n 4"))))
 
 
 def adam(tensors: Any, moved: Any) -> None:

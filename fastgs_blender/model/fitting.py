@@ -60,8 +60,7 @@ def rotation_families(t: np.ndarray) -> list[Family]:
     return [family for kind in BASES.values() for family in kind.rotation_fits(float(t[0]), float(t[-1]))]
 
 
-def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0,
-           most: float = np.inf) -> Basis:
+def choose(families: list[Family], t: np.ndarray, error: Callable[[Fit], float], max_order: int = 0, most: float = np.inf) -> Basis:
     """The basis with the fewest coefficients whose error is at most 1, else the one with the least error.
 
     t [S] the times that are known; families of bases by order, at a tie the first wins; error(fit) relative to the tolerance.

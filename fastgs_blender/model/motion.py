@@ -137,8 +137,7 @@ class Fourier(Basis):
     def fits(cls, first: float, last: float) -> dict[str, list[Family]]:
         """With a linear term it is exact for steady travel and whole turns, whether or not the last sample repeats the first."""
         rate, offset = _onto(first, last)
-        return {"fourier": [lambda n: cls(n - 1, 1.0, 0.0, linear=True), lambda n: cls(n - 1, rate, offset, linear=True)],
-                "paper": [cls]}
+        return {"fourier": [lambda n: cls(n - 1, 1.0, 0.0, linear=True), lambda n: cls(n - 1, rate, offset, linear=True)], "paper": [cls]}
 
     @classmethod
     def rotation_fits(cls, first: float, last: float) -> list[Family]:

@@ -163,8 +163,7 @@ def _moved(place: np.ndarray, point: tuple[float, float, float]) -> tuple[float,
 
 
 def _numbers(values: Sequence[Any], count: int, what: str) -> tuple[float, ...]:
-    good = isinstance(values, Iterable) and len(values) == count and all(
-        finite(v) and abs(float(v)) <= FARTHEST for v in values)
+    good = isinstance(values, Iterable) and len(values) == count and all(finite(v) and abs(float(v)) <= FARTHEST for v in values)
     if not good:
         raise FastGSError(f"the {what} must be {count} finite number{'s' if count > 1 else ''}.")
     return tuple(float(v) for v in values)

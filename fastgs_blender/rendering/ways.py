@@ -109,8 +109,7 @@ class Sides:
                     splats[rows[:first]] = backend.numpy(found)
         return meshes.reshape(several, count).mean(0), splats
 
-    def _views(self, number: int, points: np.ndarray, rows: np.ndarray,
-               size: int) -> Iterator[tuple[Camera, np.ndarray, np.ndarray]]:
+    def _views(self, number: int, points: np.ndarray, rows: np.ndarray, size: int) -> Iterator[tuple[Camera, np.ndarray, np.ndarray]]:
         """Pictures that show points [3, Q] well, of those rows [Q] among more: (camera, the points that it shows, their rows) of each."""
         ways, light = self.ways, self.light
         eye = view_from(light.parallel, light.points[number], points, ways.around, size, ways.backend) if len(rows) else None
@@ -248,8 +247,7 @@ def _bounds(points: np.ndarray) -> np.ndarray:
     return np.array([[row.min(), row.max()] for row in points]).T
 
 
-def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int,
-              backend: Any) -> Camera | None:
+def view_from(parallel: bool, place: np.ndarray, points: np.ndarray, around: np.ndarray, size: int, backend: Any) -> Camera | None:
     """The camera at a point of a lamp that sees all points [3, P], None where they all lie behind it.
 
     around  [Q, 3] points around what may throw shadows on them: the rays of a sun begin before these

@@ -183,8 +183,7 @@ def bake(positions: np.ndarray, triangles: np.ndarray, colours: Any = GREY, *, f
 
     t = frames / frame_count
     paths = fit_paths(surface, samples, t, 1 / frame_count, basis, tolerance, tail_tolerance, max_order, lambda x: progress(0.25 + 0.4 * x))
-    turning = fit_turning(surface, samples, painted, t, not isinstance(paths.basis, Static), max_order,
-                          lambda x: progress(0.65 + 0.25 * x))
+    turning = fit_turning(surface, samples, painted, t, not isinstance(paths.basis, Static), max_order, lambda x: progress(0.65 + 0.25 * x))
     tilt, offset = tangent_frames(surface, samples, turning, t)
     progress(0.95)
     position, motion = offset_paths(surface, samples, paths, offset, t)

@@ -141,8 +141,7 @@ def _made(model: GaussianModel, t: float, times: np.ndarray, detail: int, closed
         surface = opened(surface, model, subject, subject.size / detail, LEAST)
     if not len(surface.quads):
         raise FastGSError("no surface was found: what is there is too faint or too small; choose another frame or more detail.")
-    paths = carry(model, t, surface.vertices, surface.quads, subject.size / detail, times, limit,
-                  lambda share: progress(0.6 + 0.4 * share))
+    paths = carry(model, t, surface.vertices, surface.quads, subject.size / detail, times, limit, lambda share: progress(0.6 + 0.4 * share))
     shapes, curves = _shapes(paths.places, surface.vertices, PRECISE * subject.size)
     return MovingMesh(surface.quads, surface.vertices.astype(np.float32), shapes, paths.times, curves,
                       surface.colours.astype(np.float32), float(t), closed)

@@ -50,8 +50,7 @@ class TrainingOptions:
                      "{:,} steps, at most {:,} Gaussians".format(*costs.size_of(name, pixels=math.inf)), number)
                     for number, name in enumerate(PRESETS)), default='STANDARD')
     iterations: IntProperty(name="Steps", description="Number of training steps; 0: as in the preset", default=0, min=0)
-    max_gaussians: IntProperty(
-        name="Most Gaussians", description="Largest number of Gaussians; 0: as in the preset", default=0, min=0)
+    max_gaussians: IntProperty(name="Most Gaussians", description="Largest number of Gaussians; 0: as in the preset", default=0, min=0)
     order: IntProperty(
         name="Motion Terms", description="How many terms describe the path of each Gaussian: more follow faster motion. "
         "0: as many as suit the clip's length, or the bake that training begins with", default=0, min=0, max=64)
@@ -61,8 +60,7 @@ class TrainingOptions:
     scale: FloatProperty(
         name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it",
         default=0.0, min=0.0, max=1.0)
-    frames: StringProperty(
-        name="Frames", description='Part of the capture, as in "0:99", counted from 0; empty for all of it')
+    frames: StringProperty(name="Frames", description='Part of the capture, as in "0:99", counted from 0; empty for all of it')
     held_out: StringProperty(
         name="Held-Out Views", description="Cameras to evaluate with instead of training on them, separated by commas; empty for the "
         "capture's own choice")

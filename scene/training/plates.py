@@ -143,8 +143,7 @@ def write_capture(context, out: Path) -> str:
         for obj, plate in plates.items():
             steady_lens(obj.name, poses[obj])
             entries.append(camera_entry(names[obj], poses[obj]) | _lay_out(out, names[obj], plate, first, last))
-        fastgs.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base,
-                          axes=AXES)
+        fastgs.write_cameras(out, entries, frame_count=last - first + 1, fps=scene.render.fps / scene.render.fps_base, axes=AXES)
     except OSError as error:
         raise FastGSError(f"{out}: the capture cannot be written there ({error.strerror}); choose another folder.") from error
     return str(out)

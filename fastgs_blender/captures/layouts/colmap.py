@@ -86,8 +86,7 @@ def _workspaces(path: Path, frames: dict[int, Path], options: Options) -> Captur
     have = {(entry.view, entry.frame) for entry in entries}
     gaps = [(view, frame) for frame in chosen for view in views if (view, frame) not in have]
     entries.sort(key=lambda entry: (entry.view, entry.frame))
-    return from_entries(path, name, entries, options, frame_count=count, start_frame=start, points=timed(points),
-                        gaps=gaps)
+    return from_entries(path, name, entries, options, frame_count=count, start_frame=start, points=timed(points), gaps=gaps)
 
 
 def _workspace(path: Path, model: Path, options: Options) -> Capture:

@@ -206,8 +206,7 @@ class FrameStore:
         if not self._bounded or not todo:
             return todo
         names = set(self._names(shots))
-        left = bounds.room(self.folder, sum(lengths.values()), names, set(self._names(self.capture.shots)) - names,
-                           RESERVE)
+        left = bounds.room(self.folder, sum(lengths.values()), names, set(self._names(self.capture.shots)) - names, RESERVE)
         for shot in sorted(todo, key=lambda shot: (shot.image.frame is None, self._path(shot).name)):
             left -= lengths[shot]
             if left < 0:

@@ -120,8 +120,7 @@ def weigh(first, last, columns, x0, y0, right, bottom, tile_x, tile_y, starts, i
             simd.prefetch(geometry, ahead)
             simd.prefetch(attributes, ahead)
             u, v, slopes = raster.line(geometry, i, left, top)
-            reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT],
-                                     LANES)
+            reached = groups.reached(lines, u, v, slopes, attributes[i, raster.LOG2_OPACITY], attributes[i, raster.LOG2_CUT], LANES)
             finished, share = take_light(left_over, reached & live, lines, slopes[0], attributes, i)
             if share > shares[i]:
                 raise_to(shares, i, share)

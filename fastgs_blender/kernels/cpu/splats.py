@@ -56,8 +56,7 @@ class ProjectedSplats:
         return order_by(np.concatenate(pieces) if pieces else self.depth[:0], self.index)
 
 
-def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None,
-                      cells=NOWHERE) -> ProjectedSplats:
+def project_instances(instances: list[ViewedInstance], camera: Camera, layout: Layout, progress=None, cells=NOWHERE) -> ProjectedSplats:
     """Slice, cull and project all instances; cells: of points before which splats must lie, as cells_of() has them."""
     total = sum(len(instance.model) for instance in instances)
     attributes = empty((total, raster.CHANNEL + raster.padded(layout.channels)), np.float32, total)

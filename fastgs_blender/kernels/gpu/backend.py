@@ -76,8 +76,7 @@ class GPU(CPU):
     def draw(self, instances: list[ViewedInstance], camera: Camera, layout: Layout, probes: Collection[str],
              progress: Callable[[float], None], holdout: np.ndarray | None = None, wanted: np.ndarray | None = None) -> Any:
         again = cache(lambda: super(GPU, self).draw(instances, camera, layout, probes, progress, holdout, wanted))
-        return self._or_else(
-            lambda: draw(self.device, self.models, instances, camera, layout, probes, progress, holdout, again), again)
+        return self._or_else(lambda: draw(self.device, self.models, instances, camera, layout, probes, progress, holdout, again), again)
 
     def expose(self, exposure: Exposure, instances: list[ViewedInstance], camera: Camera, colours: bool, progress: Callable[[float], None],
                holdout: np.ndarray | None = None, objects: Sequence[tuple[str, int]] = (), by_pixel: bool = False) -> Exposed:
