@@ -4,6 +4,7 @@ import bpy
 from bpy.props import BoolProperty, FloatProperty, StringProperty
 
 from ..fastgs_blender.selecting.clean import KINDS, STRENGTH, clean
+from ..fastgs_blender.util.errors import FastGSError
 from ..scene import objects, selection
 from ..scene.background import in_background
 from .action import EDITABLE_SPLATS
@@ -43,6 +44,8 @@ class FASTGS_OT_clean_up(Stepwise, _Kinds, bpy.types.Operator):
     def steps(self, context):
         obj = context.object
         self._name, model = obj.name, objects.load_one_model(obj, "cleaned")
+        if not selection.shown(obj).any():  # the cameras' pictures are of all that is in its file
+            raise FastGSError(f'"{obj.name}" shows none of its Gaussians, so there is nothing to clean up; restore some, or change its filters.')
         kinds = [name for name in KINDS if getattr(self, name)]
         return (yield from in_background(lambda progress: clean(model, self.strength, kinds=kinds, progress=progress)))
 

@@ -184,7 +184,11 @@ def is_run(path: str | Path) -> bool:
 
 
 def refuse_existing(files: Iterable[Path], args: argparse.Namespace) -> None:
-    """Raise FastGSError where one of the files to write is there, unless --overwrite was given."""
+    """Raise FastGSError where one of the files to write has no folder, or is there and --overwrite was not given: before the work."""
+    files = list(files)
+    homeless = [file for file in files if not file.parent.is_dir()]
+    if homeless:
+        raise FastGSError(f"{homeless[0]} cannot be written: its folder does not exist; create it first or choose another.")
     taken = [file for file in files if file.exists()]
     if taken and not args.overwrite:
         raise FastGSError(f"{taken[0]} is there already; give another name, or --overwrite to replace it.")

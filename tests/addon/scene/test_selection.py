@@ -206,6 +206,15 @@ def test_clean_up_leaves_other_parts_alone(dirty, fg, module):
     assert np.array_equal(selection.bits(part, "mask"), taken & (np.arange(len(dirty)) % 2 == 0)) and not obj.fastgs.mask
 
 
+def test_clean_up_of_an_object_that_shows_nothing_is_refused_at_once(dirty, module, monkeypatch):
+    """Nothing is looked for where all is erased."""
+    obj, selection = bpy.context.object, module("scene.selection")
+    monkeypatch.setattr(module("operators.clean_up"), "clean", lambda *_, **__: pytest.fail("it has looked at pictures first"))
+    selection.erase(obj, np.ones(len(dirty), bool))
+    with pytest.raises(RuntimeError, match="shows none"):
+        bpy.ops.fastgs.clean_up()
+
+
 @pytest.fixture
 def two_balls(fg, make_model, model_file, add_camera, scene):
     """Two balls of many Gaussians that touch: the first is red and rises, the second green and at rest; [N] which are the first's."""

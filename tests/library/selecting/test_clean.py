@@ -180,6 +180,13 @@ def test_the_command(run, tmp_path, room):
         assert code == 2 and error.count("\n") == 1 and not (tmp_path / "no.ply").exists()
 
 
+def test_the_command_misses_a_folder_before_it_looks(run, tmp_path, room, monkeypatch):
+    monkeypatch.setattr(sights, "render", lambda *_, **__: pytest.fail("it has looked at pictures first"))
+    fg.save(room, tmp_path / "room.safetensors")
+    code, _, error = run("clean", tmp_path / "room.safetensors", tmp_path / "missing" / "clean.ply")
+    assert code == 2 and "missing" in error and "folder" in error and error.count("\n") == 1
+
+
 def test_the_command_says_what_it_cannot_judge(run, tmp_path):
     source = tmp_path / "blind.safetensors"
     fg.save(dirty_room(fg, cameras=False), source)
