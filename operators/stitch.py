@@ -2,6 +2,7 @@
 """The operators that put two captures together: aligning them by their surfaces, grading one to the other, fading one into the other."""
 
 import bpy
+import numpy as np
 from bpy.props import BoolProperty, FloatProperty
 
 from ..fastgs_blender.stitching.fitting import align
@@ -58,7 +59,8 @@ class FASTGS_OT_align_overlap(_OfTwo, bpy.types.Operator):
         obj, fixed, found = result
         stitching.move(context, obj, fixed, found.matrix)
         sized = f", scaled by {found.scale:.4g}" if self.scale else ""
-        return (f'"{obj.name}" lies on "{fixed.name}"{sized}: {found.overlap:.0%} overlap, {found.residual:.3g} apart there; '
+        lies = "lies on" if (found.matrix != np.eye(4)).any() else "stays where it is, on"
+        return (f'"{obj.name}" {lies} "{fixed.name}"{sized}: {found.overlap:.0%} overlap, {found.residual:.3g} apart there; '
                 f"{found.agreement:.0%} of what comes near agrees")
 
 

@@ -44,6 +44,9 @@ UNLIKE = 1.0
 LEAST_OVERLAP, LEAST_AGREEMENT, LEAST_COLOURED, LOOSE = 0.1, 0.72, 0.6, 0.02
 """Less is no sure fit: the share of the smaller surface that lies on the other; of what lies near the other, the share that lies on it; how
 much of its colours the other's tell; how firmly the surfaces hold the weakest of all motions, by what holds the strongest."""
+NOISE, QUALITY_NOISE = 0.02, 0.15
+"""A fit that has no more than these shares less residual and more quality than no motion has moved by its own noise: so much they differ
+between captures that lie on each other already."""
 RIVAL = 0.85
 """Another fit that is so nearly as good makes both unsure."""
 
@@ -67,6 +70,8 @@ class Alignment(Similarity):
 def align(moving: Instance, fixed: Instance, *, scale: bool = False, search: bool = True,
           progress: Callable[[float], Any] | None = None) -> Alignment:
     """The motion of the world that lays one capture on another where both show the same surfaces, each at its instance's time.
+
+    It is none, exactly, where no fit is better by more than its noise.
 
     scale     whether it may scale, too
     search    whether other places to begin from are tried where it does not fit from its own
@@ -101,7 +106,9 @@ def align(moving: Instance, fixed: Instance, *, scale: bool = False, search: boo
             trouble = "they fit in more than one way"
     if trouble:
         raise FastGSError(f"no sure fit was found: {trouble}. Pick three pairs of places instead, or move one nearly onto the other first.")
-    return found
+    still = fit.judged(np.eye(4))
+    better = found.residual < (1 - NOISE) * still.residual or _quality(found) > (1 + QUALITY_NOISE) * _quality(still)
+    return found if better or _doubt(still) else still
 
 
 def _quality(found: _Found) -> float:
@@ -152,7 +159,7 @@ class _Fit:
             motion = em_icp(start, self.moving, self.fixed, self.scale, cloud) if cloud else start
             for cells in self.levels[level:]:
                 motion = self._level(motion, cells) @ motion
-            found.append(self._judged(motion))
+            found.append(self.judged(motion))
             if found[-1].agreement > CLEAR and not _doubt(found[-1]):
                 break
         return max(found, key=_quality)
@@ -171,7 +178,7 @@ class _Fit:
                 break
         return added
 
-    def _judged(self, motion: np.ndarray) -> _Found:
+    def judged(self, motion: np.ndarray) -> _Found:
         """A motion with how well it fits."""
         fine, coarse = self.levels[-1], self.levels[-2]
         there = moved(self.moving, motion)

@@ -58,6 +58,15 @@ def test_two_floors_slide():
         fg.align(fg.Instance(floor, np.eye(4), 0.0), fg.Instance(floor, np.eye(4), 0.0))
 
 
+@pytest.mark.slow
+@pytest.mark.parametrize("options", [{}, {"noise": 0.02}, {"count": 3000}])
+def test_what_lies_there_stays_exactly_and_a_small_motion_is_undone(options):
+    """Without the judge of no motion these moved by 0.001 to 0.01."""
+    assert np.array_equal(fg.align(*pair(6, np.eye(4), **options)).matrix, np.eye(4))
+    true = motion(np.random.default_rng(6), 0.0, 0.03)
+    assert off(fg.align(*pair(6, true, **options)).matrix @ true, place(6)[0]) < 0.015
+
+
 def test_masked_gaussians_do_not_count():
     """Only what an instance shows is laid onto the other."""
     from fastgs_blender.rendering.masks import pack_mask
