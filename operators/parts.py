@@ -90,7 +90,7 @@ class FASTGS_OT_invert_hidden(Action, bpy.types.Operator):
 
     def act(self, context):
         selection.clear(context.object)
-        selection.put(context.object, mask=~selection.bits(context.object, "mask"))
+        selection.put(context.object, mask=selection.own(context.object))
 
 
 class FASTGS_OT_delete_for_good(Action, bpy.types.Operator, ExportHelper):

@@ -215,6 +215,21 @@ def test_clean_up_of_an_object_that_shows_nothing_is_refused_at_once(dirty, modu
         bpy.ops.fastgs.clean_up()
 
 
+def test_swap_hides_no_gaussians_of_other_parts(dirty, module):
+    """What is joined with an object whose erasing was swapped is shown."""
+    obj, selection = bpy.context.object, module("scene.selection")
+    half = np.arange(len(dirty)) % 2 == 0
+    selection.select(obj, half)
+    bpy.ops.fastgs.separate()
+    part = bpy.context.object
+    selection.erase(obj, ~half & (np.arange(len(dirty)) < 10))
+    bpy.context.view_layer.objects.active = obj
+    bpy.ops.fastgs.invert_hidden()
+    part.select_set(True)
+    assert bpy.ops.fastgs.join_parts() == {'FINISHED'}
+    assert np.array_equal(selection.own(obj), half | (np.arange(len(dirty)) < 10))
+
+
 @pytest.fixture
 def two_balls(fg, make_model, model_file, add_camera, scene):
     """Two balls of many Gaussians that touch: the first is red and rises, the second green and at rest; [N] which are the first's."""
