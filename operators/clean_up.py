@@ -45,7 +45,7 @@ class FASTGS_OT_clean_up(Stepwise, _Kinds, bpy.types.Operator):
         obj = context.object
         self._name, model = obj.name, objects.load_one_model(obj, "cleaned")
         if not selection.shown(obj).any():  # the cameras' pictures are of all that is in its file
-            raise FastGSError(f'"{obj.name}" shows none of its Gaussians, so there is nothing to clean up; restore some, or change its filters.')
+            raise FastGSError(f'"{obj.name}" shows none of its Gaussians, so nothing can be cleaned up; restore some first.')
         kinds = [name for name in KINDS if getattr(self, name)]
         return (yield from in_background(lambda progress: clean(model, self.strength, kinds=kinds, progress=progress)))
 
