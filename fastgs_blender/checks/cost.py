@@ -63,4 +63,6 @@ def run(inspection: Inspection) -> Section:
 
 
 def _minutes(value: float) -> str:
+    if value < 1.5:
+        return "a minute" if value >= 0.75 else "less than a minute"
     return f"{value:.0f} minutes" if value < 100 else f"{value / 60:.1f} hours"

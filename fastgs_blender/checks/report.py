@@ -121,11 +121,12 @@ class CheckReport:
                 "measures": {name: section.measures for name, section in self.sections.items()}}
 
     def text(self) -> str:
-        """All findings for a terminal or a text of Blender's, worst first."""
+        """All findings for a terminal or a text of Blender's, worst first; then what was looked at, and what training will need."""
         lines = [printable(self.capture), *_wrapped(self.verdict), ""]
         for _, finding in self.findings:
             lines += [*_wrapped(finding.sentence, f"{finding.severity:<6}"), *_wrapped(finding.advice, " " * 6), ""]
-        return "\n".join([*lines, *_wrapped(self.looked)])
+        cost = [self.sections["cost"].summary] if "cost" in self.sections else []
+        return "\n".join([*lines, *_wrapped(self.looked), *(line for text in cost for line in ["", *_wrapped(text)])])
 
 
 def _things(count: int) -> str:

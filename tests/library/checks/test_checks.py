@@ -222,3 +222,4 @@ def test_the_command(tmp_path, capsys):
 def test_the_text_is_as_wide_as_a_terminal(faulty):
     lines = faulty.text().splitlines()
     assert max(map(len, lines[1:])) <= 80 and lines[lines.index("") + 1].startswith("wrong  What cam05 shows")
+    assert "standard" in " ".join(lines[-4:]), "what training will need comes last"
