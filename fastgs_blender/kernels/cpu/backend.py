@@ -44,12 +44,13 @@ class CPU:
         return rgb
 
     def draw(self, instances, camera, layout, probes, progress, holdout=None, wanted=None) -> Buffers:
-        announce()
+        decode = decoder_of(layout, camera)
+        announce("features" if decode else "picture")
         splats = project_instances(instances, camera, layout, lambda f: progress(0.3 * f))
         order, channels, rows = splats.order(), splats.channels, (splats.geometry, splats.attributes)
         del splats  # the rest of which is memory
         picture = rasterise(order, *rows, channels, camera, probes, lambda f: progress(0.35 + 0.6 * f), tiles_of(wanted, camera), holdout,
-                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decoder_of(layout, camera))
+                            plane=layout.plane, by_pixel=layout.by_pixel, core=layout.core, decode=decode)
         return picture.buffers(layout)
 
     def expose(self, exposure, instances, camera, colours, progress, holdout=None, objects=(), by_pixel=False):

@@ -62,10 +62,10 @@ def compile_all(progress: Callable[[float], None] = lambda fraction: None) -> No
     cache.mark(cache.COMPLETE)
 
 
-def _picture() -> None:
-    """Aside: a picture of colours."""
+def _picture(look: Appearance) -> None:
+    """Aside: a picture of colours, or of features, whose rasteriser is another."""
     aside.end_with_parent()
-    render(_specks(RGB()), _camera(), backend="cpu")
+    render(_specks(look), _camera(), backend="cpu")
 
 
 def _step() -> None:
@@ -74,7 +74,7 @@ def _step() -> None:
     made.steps(BACKEND, made.made_model(made.made_decoder(), 3, 0.0), _camera())(1)
 
 
-WORK = {"all": compile_all, "picture": _picture, "step": _step}
+WORK = {"all": compile_all, "picture": lambda: _picture(RGB()), "features": lambda: _picture(Features()), "step": _step}
 """What a process may be started for, see aside.command()."""
 
 

@@ -136,7 +136,7 @@ print(project(x), another(x), x[0])
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("work", ["picture", "step"])
+@pytest.mark.parametrize("work", ["picture", "features", "step"])
 def test_a_second_process_compiles_what_takes_long(tmp_path, work):
     """This one finds that code in the cache, and begins no other process when the next one starts.  The library may lie where Python does
     not look, as in a training that Blender has started."""
