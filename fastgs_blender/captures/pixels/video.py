@@ -225,7 +225,7 @@ def _opened(path: Path) -> Iterator[Any]:
         raise FastGSError(f"{path}: reading a video needs PyAV; install it with: pip install av.") from error
     open_file(path).close()  # FFmpeg opens it by name: a pipe must not get that far
     with reading(path, "the video is damaged, cut short or of an unknown kind"), _bounded(path), \
-            av.open(f"file:{path}", options=OPTIONS) as container:
+            av.open(f"file:{path}", options=OPTIONS, metadata_errors="replace") as container:  # older cameras write other texts than UTF-8
         if not container.streams.video:
             raise FastGSError(f"{path}: there is no video in this file.")
         if container.streams.video[0].codec_context is None:

@@ -58,6 +58,7 @@ def test_pipes_and_devices_as_pictures(endless, tmp_path):
     refused("pipe.*device", video.index, tmp_path / "a.mp4")
 
 
+@pytest.mark.posix
 @pytest.mark.parametrize(("layout", "name"), [
     ("fastgs", "cameras.json"), ("panoptic", "train_meta.json"), ("transforms", "transforms.json"), ("n3v", "poses_bounds.npy"),
     ("technicolor", "cameras_parameters.txt"), ("qualisys", "calib.qca.txt"), ("colmap", "sparse/0/images.txt")])
@@ -72,6 +73,7 @@ def test_pipes_and_devices_as_descriptions(endless, tmp_path, layout, name):
         open_capture(tmp_path / name, layout=layout)
 
 
+@pytest.mark.posix
 def test_pipes_and_devices_as_camera_files(endless, tmp_path):
     endless(tmp_path / "a.json")
     refused("pipe.*device", load_cameras, tmp_path / "a.json")

@@ -28,9 +28,10 @@ def number_in(rgb: np.ndarray) -> int:
     return int((bits.ravel() << np.arange(12)).sum())
 
 
-def write(path, codec="libx264", stamps=None, container_options=None, count=COUNT, base=Fraction(1, 1000), **options):
+def write(path, codec="libx264", stamps=None, container_options=None, count=COUNT, base=Fraction(1, 1000), title="", **options):
     """A video whose frames carry their numbers; stamps: their times in units of base."""
     with av.open(str(path), "w", options=container_options or {}) as container:
+        container.metadata["title"] = title
         stream = container.add_stream(codec, rate=25, options={"qp": "0"} | options if codec == "libx264" else options)
         stream.width, stream.height, stream.pix_fmt = *SIZE, "yuv420p"
         if stamps is not None:
@@ -111,6 +112,13 @@ def test_what_cannot_be_read_is_one_sentence(tmp_path):
         assert "\n" not in str(error.value)
     with pytest.raises(FastGSError, match="no frame 90"):
         list(video.frames(whole, [90]))
+
+
+def test_a_title_that_is_no_utf_8(tmp_path):
+    """As older cameras and programs write it.  It was refused, and the file stayed open until Python collected what it no longer needs."""
+    path = write(tmp_path / "a.mp4", count=2, title="Cafe")
+    path.write_bytes(path.read_bytes().replace(b"Cafe", b"Caf\xe9"))
+    assert video.index(path).count == 2
 
 
 def test_damage_within_a_video_never_gives_wrong_frames(tmp_path):
