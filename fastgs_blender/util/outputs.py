@@ -43,10 +43,9 @@ def replacing(paths: list[Path]) -> Iterator[list[Path]]:
 
     Raises FastGSError where a path cannot be written.
     """
-    try:
-        targets = [Path(os.path.realpath(path)) for path in paths]
-    except ValueError as error:  # a zero in the name
-        raise FastGSError(f"this is no name for a file ({error}); choose another.") from error
+    if any("\0" in str(path) for path in paths):
+        raise FastGSError("this is no name for a file, as it has a zero in it; choose another.")
+    targets = [Path(os.path.realpath(path)) for path in paths]
     for target in targets:
         _check(target)
     folder = targets[-1].parent

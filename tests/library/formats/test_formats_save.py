@@ -153,6 +153,7 @@ def test_a_folder_that_may_not_be_written(model, tmp_path, monkeypatch):
         fg.save(model, tmp_path / "m.ply")
 
 
+@pytest.mark.posix
 def test_links_and_permissions_stay(rng, make_model, tmp_path):
     (tmp_path / "real").mkdir()
     target, link = tmp_path / "real" / "m.safetensors", tmp_path / "m.safetensors"
