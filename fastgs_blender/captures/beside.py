@@ -6,6 +6,7 @@ contains it.  The film may also lie in a folder of that name: cam1/GX010010.MP4.
 matches and there are as many films as cameras, they are paired in order, and a note says so.
 """
 import re
+from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path, PurePosixPath
 from typing import Any
@@ -108,18 +109,20 @@ def without_number(called: str) -> str:
     return re.sub(r"(?<=.)[_-](frame_?)?\d+$", "", called, flags=re.IGNORECASE)
 
 
-def films_of_pictures(pictures: Sequence[str], file: Path, path: Path) -> tuple[list[str], list[Path | None]]:
+def films_of_pictures(pictures: Sequence[str], file: Path, path: Path, several: bool = False) -> tuple[list[str], list[Path | None]]:
     """What each picture's camera is called, and its film if there is one; file and path as films_of() has them.
 
-    The films are called like the pictures, like them without their numbers, or like their folders: as most of them are.
+    The films are called like the pictures, like them without their numbers, or like their folders: as most of them are.  Where several
+    pictures share a film or a folder, they were taken on a walk, or lie there: it is none, unless `several`.
 
     pictures  paths as a calibration has them, without endings
     """
     found: tuple[list[str], list[Path | None]] = [*pictures], [None] * len(pictures)
     for named in (lambda own: own.name, lambda own: without_number(own.name), lambda own: own.parent.name):
         names = [named(PurePosixPath(picture)) for picture in pictures]
-        films = films_of([name for name in dict.fromkeys(names) if name], file, path, exact=True)[0]
-        if len(films) > len({film for film in found[1] if film is not None}):
+        wanted = [name for name, times in Counter(names).items() if name and (several or times == 1)]
+        films = films_of(wanted, file, path, exact=True)[0]
+        if len(films) > sum(film is not None for film in dict.fromkeys(found[1])):
             found = names, [films.get(name) for name in names]
     return found
 
@@ -148,12 +151,10 @@ def capture_of(path: Path, layout: str, file: Path, cameras: Sequence[Calibrated
     """
     names = [camera.name for camera in cameras]
     poses.check_names(names, file)
-    called: list[str] = names
-    notes: list[str] = []
+    called, notes = names, list[str]()
     if photographed:
         called, streams = films_of_pictures(names, file, path)
-        firsts = {film: name for name, film in reversed(list(zip(names, streams))) if film is not None}
-        places = {name: film for film, name in reversed(firsts.items())}
+        places = {name: film for name, film in zip(names, streams) if film is not None}
     else:
         places, notes = films_of(names, file, path)
     lost = [name for name in names if name not in places]

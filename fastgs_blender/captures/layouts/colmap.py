@@ -96,7 +96,8 @@ def _workspace(path: Path, model: Path, options: Options) -> Capture:
     points = read_points(model)
     streams = [_stream(top, image) or _stream(path, image) for image in images]
     if all(stream is None or _is_picture(stream) for stream in streams):
-        films = films_of_pictures([Path(image.name).with_suffix("").as_posix() for image in images], model / "images", path)[1]
+        stems = [Path(image.name).with_suffix("").as_posix() for image in images]
+        films = films_of_pictures(stems, model / "images", path, several=True)[1]
         streams = films if len(set(films) - {None}) > 1 else streams  # one alone is no rig
     walks = _walks(images, streams)
     streams = [None if stream in walks else stream for stream in streams]

@@ -99,6 +99,16 @@ def test_photographs_alone_are_a_moment(tmp_path, tmp_path_factory):
     rig.check(capture, tmp_path_factory.mktemp("cache"), NAMES, WORLD)
 
 
+def test_photographs_in_a_folder_that_is_called_like_them_are_a_moment(tmp_path):
+    """The folder is no film of theirs, though it holds numbered pictures."""
+    rig = SpotRig(RIG.given, SKEWED, cameras=3, frames=1)
+    for i in range(3):
+        rig.write_picture(tmp_path / "walk" / f"walk_000{i}.png", i, 0)
+    metashape(tmp_path, label="{name}.png", names=[f"walk_000{i}" for i in range(3)])
+    capture = open_capture(tmp_path)
+    assert len(capture.views) == 3 and capture.clip.frame_count == 1 and not problems(capture)
+
+
 def table(folder, rig):
     """RealityScan's table: the camera looks down and is turned by roll about y, pitch about x, and against the heading about z."""
     rows = []

@@ -224,3 +224,17 @@ def test_films_that_are_listed_or_lie_beside_their_pictures(tmp_path, tmp_path_f
     assert capture.clip == fg.Clip(3, 50, 0) and "IMG_7" in capture.notes[0] and not problems(capture)
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
 
+
+
+@pytest.mark.parametrize("film", [False, True])
+def test_pictures_that_share_a_folder_or_a_film_are_photographs(tmp_path, film):
+    """Splits in folders of their own, as in synthetic scenes that stand still; pictures that were taken from two films of walks."""
+    for split in ("train", "test"):
+        pictures = [f"{split}/{split}_{i}.png" for i in range(3)]
+        for i, picture in enumerate(pictures):
+            RIG.write_picture(tmp_path / picture, i, 0)
+        if film:
+            RIG.write_video(tmp_path / f"{split}.mp4", 0)
+        write(tmp_path / f"transforms_{split}.json", [frame(RIG, i, picture) for i, picture in enumerate(pictures)], **intrinsics(SIMPLE))
+    capture = open_capture(tmp_path)
+    assert capture.clip.frame_count == 1 and len(capture) == 6 and "one moment" in capture.notes[0]
