@@ -3,12 +3,14 @@
 
 The rasteriser's blur b gives every splat a smallest size of about a pixel.  Training adapts the Gaussians to that blur, with the pixels of
 the capture's cameras.  Let a pixel of the view have the size p at a Gaussian, and let C be the coarsest and F the finest pixel that the
-capture's cameras had there (in units of the model, F <= C).  S is the splat's covariance without the blur.
+capture's cameras had there (in units of the model, F <= C).  S is the splat's covariance without the blur.  N is what the view is compared
+with: the pixel of one of the capture's cameras in the view's place, but at least F and at most C.
 
     p > C    Its Gaussian shrinks in the picture, the blur does not: edges grow thick, fine detail flickers.  Its opacity, and the cut of
              its opacity, are multiplied by  sqrt(det(S + b C^2/p^2) / det(S + b)).
-    p < F    Nobody saw what lies between the pixels of the capture: needles and gaps appear.  The blur becomes  b F^2/p^2:  as wide on
-             the surface as in training, with the opacity that training gave it.  It is the sampling limit of Mip-Splatting's 3D filter.
+    p < N    Nobody saw what lies between the pixels of the capture: needles and gaps appear.  The blur becomes  b N^2/p^2:  as wide on
+             the surface as in training, with the opacity that training gave it.  F is the sampling limit of Mip-Splatting's 3D filter.
+             It is too sharp alone: where cameras stand at all distances, the farther ones shaped the Gaussians, each with its own blur.
     else     Nothing changes, so from the capture's own cameras pictures keep every byte.
 
 This is what Mip-Splatting (Yu et al. 2024) does with its two filters, for models that were trained without them.
@@ -20,6 +22,8 @@ Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis
 
 which is its depth by its focal length where any of the splat may touch the picture (T_i: tangent from the axis to the farthest corner), and
 grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is the least of them, and never more than C.
+
+N: its focal length is that of the cameras around the view, see Sampling.stood().  Orthographic views stand nowhere: there N is F.
 """
 from functools import lru_cache
 from typing import NamedTuple
@@ -33,6 +37,8 @@ MARGIN = 1.01
 """How many times larger or smaller a pixel must be before anything changes: a camera's numbers are rounded on their way through files."""
 STEPS = 200
 """Steps towards the centre of the ball, which is found to about one part in as many."""
+LENS = 0.01
+"""How far from a view a lens counts that is e times as long, in squared radii of the ball."""
 STEEP = 8.0
 """How fast a camera's pixels grow outside of its picture: an eighth of its half diagonal beyond, they count as twice as large."""
 
@@ -46,6 +52,7 @@ class Sampling(NamedTuple):
     least    no camera's pixels count as finer
     reach    standard deviations from its centre at which a splat still touches a picture
     fades    whether opacity is lowered where p > C
+    zoom     the view's focal length, by that of the cameras around it; 0: none is known, or the view is orthographic
     cameras  [K, 8] float64: place, 1 / f_i, the axis (a unit vector), 1 / T_i
     """
 
@@ -55,12 +62,13 @@ class Sampling(NamedTuple):
     least: float
     reach: float
     fades: bool
+    zoom: float
     cameras: np.ndarray
 
     @property
     def row(self) -> tuple[float, ...]:
-        """All but the cameras, as nine numbers for kernels."""
-        return (*self.ball, self.pixel, self.coarse, self.least, self.reach, float(self.fades))
+        """All but the cameras, as ten numbers for kernels."""
+        return (*self.ball, self.pixel, self.coarse, self.least, self.reach, float(self.fades), self.zoom)
 
     @property
     def known(self) -> bool:
@@ -83,13 +91,23 @@ class Sampling(NamedTuple):
             found = np.minimum(found, (np.abs(z) + STEEP * outside) * camera[3])
         return np.maximum(self.least, found)
 
+    def stood(self, place: np.ndarray, focal: float) -> float:
+        """`zoom` of a view at a place [3] with a focal length in pixels: what is nearer counts more, so a camera has its own there alone.
+
+        The mean of 1 / f_i by the fourth power of nearness, of which lenses unlike the view's take a little, for cameras in one place.
+        """
+        away = ((self.cameras[:, :3] - place) ** 2).sum(1) / max(self.ball[3], 1e-12) ** 2
+        weight = np.maximum(away + LENS * np.log(focal * self.cameras[:, 3]) ** 2, 1e-12) ** -2
+        return float(focal * np.average(self.cameras[:, 3], weights=weight)) if len(weight) else 0.0
+
     def blurs(self, blur: float, position: np.ndarray, largest: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The blur [M] with which Gaussians at depths [M] before the view are drawn, and the one whose share of opacity they keep."""
         if not self.pixel > 0:
             return np.full(len(position), blur), np.full(len(position), blur)
-        size = np.maximum(self.pixel * depth, 1e-30)
-        finer = np.maximum(self.finest(position, largest) / (MARGIN * size), 1)
-        coarser = np.maximum(size / (MARGIN * np.maximum(self.coarsest(position), 1e-30)), 1) if self.fades else 1
+        size, coarsest = np.maximum(self.pixel * depth, 1e-30), self.coarsest(position)
+        compared = np.maximum(self.finest(position, largest), np.minimum(self.zoom * size, coarsest))
+        finer = np.maximum(compared / (MARGIN * size), 1)
+        coarser = np.maximum(size / (MARGIN * np.maximum(coarsest, 1e-30)), 1) if self.fades else 1
         return blur * finer**2, blur * finer**2 / coarser**2
 
     def most_blur(self, blur: float, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
@@ -99,7 +117,7 @@ class Sampling(NamedTuple):
         return blur * np.maximum(self.coarsest(position) / (MARGIN * np.maximum(self.pixel * depth, 1e-30)), 1) ** 2
 
 
-OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, np.zeros((0, 8)))
+OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, 0.0, np.zeros((0, 8)))
 """Nothing changes with the distance."""
 
 

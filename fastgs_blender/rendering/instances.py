@@ -225,7 +225,7 @@ class Instance:
             return OFF._replace(least=least)
         x, y, z, radius, focal = camera_ball(cameras)
         rows, reach = camera_rows(cameras, raster.blur, raster.alpha_cut)
-        return Sampling((x, y, z, radius), 0.0, 1 / focal, least, reach, not raster.antialiased, rows)
+        return Sampling((x, y, z, radius), 0.0, 1 / focal, least, reach, not raster.antialiased, 0.0, rows)
 
     @property
     def identity(self) -> tuple[str, int]:
@@ -270,7 +270,9 @@ class ViewedInstance(Instance):
         captured, size = self.captured, self.scale
         if not captured.known or not size > 0:
             return OFF
-        return captured._replace(pixel=1 / (float(np.sqrt(abs(self.camera.fx * self.camera.fy))) * size))
+        focal = float(np.sqrt(abs(self.camera.fx * self.camera.fy)))
+        zoom = 0.0 if self.camera.orthographic else captured.stood(self.camera_to_model[:3, 3], focal)
+        return captured._replace(pixel=1 / (focal * size), zoom=zoom)
 
     @cached_property
     def ball(self) -> tuple[float, float, float, float]:

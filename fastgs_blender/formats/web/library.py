@@ -16,7 +16,7 @@ from ...model.gaussians import GaussianModel
 from ...model.keyframes import LEAST_GAP
 from ...model.surroundings import WITHIN
 from ...model.temporal import KINDS
-from ...rendering.distance import MARGIN
+from ...rendering.distance import LENS, MARGIN
 from ...rendering.instances import LIMIT
 from ...rendering.looks import Look
 from .. import columns, compressed, native, native_arrays, quantising, static
@@ -59,7 +59,7 @@ def numbers() -> dict[str, Any]:
             "TEMPORAL": {name: {"code": kind.code, "logarithms": kind.logarithms} for name, kind in KINDS.items()}},
         "order": {"MARGIN": MARGIN, "LOOK": _places(Look),
                   "TEMPORAL": {name: kind.code for name, kind in KINDS.items()}},
-        "view": {"LIMIT": LIMIT, "WITHIN": WITHIN},
+        "view": {"LENS": LENS, "LIMIT": LIMIT, "WITHIN": WITHIN},
         "tables": {
             "VIEW": _places(frame_table.ViewTexel), "INSTANCE": _places(frame_table.InstanceTexel), "HEAD": frame_table.HEAD,
             "NONE": frame_table.NONE, "WEIGHTS": frame_table.WEIGHTS, "POWERS": frame_table.POWERS, "NOTHING": frame_table.NOTHING,

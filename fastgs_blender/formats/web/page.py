@@ -184,7 +184,7 @@ class Page:
             "backdrop": first.backdrop, "bends": first.bends,
             "sampling": None if not sampling.known else {
                 "ball": _numbers(sampling.ball), "coarse": sampling.coarse, "least": sampling.least, "reach": sampling.reach,
-                "fades": bool(sampling.fades), "cameras": [_numbers(row) for row in sampling.cameras]},
+                "cameras": [_numbers(row) for row in sampling.cameras]},
         }
 
 

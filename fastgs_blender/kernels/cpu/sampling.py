@@ -15,7 +15,7 @@ PIXEL = 4
 @inline
 def coarsest(px, py, pz, row):
     """distance.Sampling.coarsest() of one Gaussian; row: Sampling.row."""
-    cx, cy, cz, radius, _, coarse, least, _, _ = row
+    cx, cy, cz, radius, _, coarse, least, _, _, _ = row
     x, y, z = px - cx, py - cy, pz - cz
     return max(least, coarse * (radius + math.sqrt(x * x + y * y + z * z)))
 
@@ -24,11 +24,11 @@ def coarsest(px, py, pz, row):
 def blurs(px, py, pz, depth, largest, blur, sampling):
     """distance.Sampling.blurs() of one Gaussian."""
     row, cameras = sampling
-    _, _, _, _, pixel, _, least, reach, fades = row
+    _, _, _, _, pixel, _, least, reach, fades, zoom = row
     size, found = pixel * depth, coarsest(px, py, pz, row)
-    far, fainter = size > MARGIN * found, MARGIN * found / size
+    far, fainter, here = size > MARGIN * found, MARGIN * found / size, max(min(found, zoom * size), least)
     for i in range(len(cameras)):
-        if not anywhere(found > MARGIN * size):
+        if not anywhere(found > max(here, MARGIN * size)):
             break
         x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
         along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
@@ -37,13 +37,13 @@ def blurs(px, py, pz, depth, largest, blur, sampling):
         r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
         outside = max((r - reach * largest) * cameras[i, 7] - along, 0.0)
         found = min(found, (abs(along) + STEEP * outside) * cameras[i, 3])
-    finer = max(max(found, least) / (MARGIN * size), 1.0)
+    finer = max(max(found, here) / (MARGIN * size), 1.0)
     return where(far, blur, blur * finer * finer), where(far, blur * fainter * fainter if fades > 0.0 else blur, blur * finer * finer)
 
 
 @inline
 def far_squared(px, py, pz, row):
     """At least the square of coarsest() / MARGIN, without a root."""
-    cx, cy, cz, radius, _, coarse, least, _, _ = row
+    cx, cy, cz, radius, _, coarse, least, _, _, _ = row
     x, y, z = px - cx, py - cy, pz - cz
     return max(least * least, 2.0 * coarse * coarse * (radius * radius + x * x + y * y + z * z))

@@ -1,9 +1,9 @@
 // rendering/distance.py, Sampling.blurs() of one Gaussian: the blur, and the one whose share of opacity is kept.
 //
-// size: of a pixel at its depth; ball: around the capture's cameras; sampling: coarse, least, reach.  A shader has captured(source, k) before
-// this: the texels k = 2 i and 2 i + 1 of camera i, place and 1 / focal length, axis and the tangent of its view.
+// size: of a pixel at its depth; ball: around the cameras; sampling: coarse, least, reach, zoom.  A shader has captured(source, k)
+// before this: the texels k = 2 i and 2 i + 1 of camera i, place and 1 / focal length, axis and the tangent of its view.
 
-fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: vec4f, sampling: vec3f, position: vec3f, largest: f32) -> vec2f {
+fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: vec4f, sampling: vec4f, position: vec3f, largest: f32) -> vec2f {
     var found: f32 = max(sampling.y, sampling.x * (ball.w + length(position - ball.xyz)));
     if (size > {MARGIN} * found) {
         let k: f32 = {MARGIN} * found / size;
@@ -12,7 +12,8 @@ fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: v
         }
         return vec2f(blur, blur);
     }
-    for (var i: i32 = 0; i < cameras && found > {MARGIN} * size; i++) {
+    let here: f32 = max(min(found, sampling.w * size), sampling.y);
+    for (var i: i32 = 0; i < cameras && found > max(here, {MARGIN} * size); i++) {
         let place: vec4f = captured(source, 2 * i);
         let axis: vec4f = captured(source, 2 * i + 1);
         let away: vec3f = position - place.xyz;
@@ -23,6 +24,6 @@ fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: v
             found = min(found, close + {STEEP} * max((r - sampling.z * largest) * axis.w - along, 0.0) * place.w);
         }
     }
-    let finer: f32 = max(max(found, sampling.y) / ({MARGIN} * size), 1.0);
+    let finer: f32 = max(max(found, here) / ({MARGIN} * size), 1.0);
     return vec2f(blur * finer * finer, blur * finer * finer);
 }

@@ -57,7 +57,7 @@ class InstanceTexel(IntEnum):
     GROUP      first run of the rotation's weights, number of runs; colour group; rows of FIRST
     RASTER     near, alpha_max, alpha_cut, blur
     FIRST      place of the first Gaussian among those of all instances, beyond its rows of WIDTH; depth of the farthest to draw; of
-               ViewedInstance.sampling (distance.py): pixel, fades
+               ViewedInstance.sampling (distance.py): pixel, zoom
     BEYOND     the ball that holds the capture's cameras: centre, radius
     SAMPLING   coarse, least, reach, number of the cameras, which follow the weights of the bases with two texels each
     LOOK       five texels of the instance's looks, see rendering/looks.py
@@ -142,7 +142,7 @@ def _instance_row(instance: ViewedInstance, texels: model_texels.Place, first: i
         (move_first, len(move_weights), turning, layout.turns),
         (turn_first, len(turn_weights), group, first // WIDTH),
         (instance.near, raster.alpha_max, raster.alpha_cut, raster.blur),
-        (first % WIDTH, far, sampling.pixel, sampling.fades),
+        (first % WIDTH, far, sampling.pixel, sampling.zoom),
         sampling.ball,
         (sampling.coarse, sampling.least, sampling.reach, len(sampling.cameras)),
         *instance.look.reshape(-1, 4),

@@ -189,8 +189,8 @@ void main()
   if (first.z > 0.0) {
     vec4 sampling = instance_texel(o, INSTANCE_SAMPLING);
     ivec2 cameras = ivec2(o, INSTANCE_TEXELS + used + whole(group.y) + whole(instance_texel(o, INSTANCE_CHANGES).w));
-    both = blurs(cameras, whole(sampling.w), raster.w, first.z * (orthographic ? 1.0 : z), first.w > 0.5,
-                 instance_texel(o, INSTANCE_BEYOND), sampling.xyz, p, max(sd.x, max(sd.y, sd.z)));
+    both = blurs(cameras, whole(sampling.w), raster.w, first.z * (orthographic ? 1.0 : z), sampling.x > 0.0 && eye.w < 0.5,
+                 instance_texel(o, INSTANCE_BEYOND), vec4(sampling.xyz, first.w), p, max(sd.x, max(sd.y, sd.z)));
   }
   float blur = both.x;
   Footprint found = footprint(u, v, blur);

@@ -97,7 +97,7 @@ class View:
             [x0 + 0.5, x0 + width - 0.5, y0 + 0.5, y0 + height - 0.5],
             [float(instance.near), instance.far, camera.width / 2, camera.height / 2],
             [raster.blur, raster.alpha_max, raster.alpha_cut, math.log2(raster.alpha_cut)], ball,
-            [instance.t], sampling.ball, [sampling.pixel, sampling.coarse, sampling.least, sampling.reach],
+            [instance.t, sampling.zoom], sampling.ball, [sampling.pixel, sampling.coarse, sampling.least, sampling.reach],
             [int(sampling.fades), len(sampling.cameras), self.cameras], look,
             [pack.count, row, channels, pack.first],
             [model.basis.terms, model.rotation_basis.terms, model.temporal.shape[1], model.features.shape[1]],

@@ -225,6 +225,37 @@ def test_in_fine_pixels_the_blur_is_as_wide_on_the_surface_as_in_training(rng, a
         assert np.abs(one["rgb"] - other["rgb"]).max() < 1e-5 and np.abs(one["rgb"] - before["rgb"]).max() > 0.1
 
 
+@pytest.mark.parametrize("backend", ["cpu", "reference"])
+def test_a_camera_enlarged_is_as_soft_as_its_own_picture_though_another_saw_more(rng, backend):
+    """The farther of two cameras, in finer pixels: as wide a blur as in its own picture.  Nearer than both, the nearer one decides."""
+    model, far = board(rng, 24)
+    near = replace(far, world_to_camera=look_at(np.array([-0.1, 0.2, -0.9]), np.zeros(3)))
+    model = knowing(model, [near, far])
+    for k in (2, 4):
+        wide = replace(model, raster=fg.Raster(blur=0.3 * (k / distance.MARGIN) ** 2))
+        one, other = shot(model, finer(far, k), backend=backend), shot(wide, finer(far, k), PLAIN, backend)
+        assert np.abs(one["rgb"] - other["rgb"]).max() < 1e-5
+    nearest = replace(far, world_to_camera=look_at(np.array([-0.05, 0.1, -0.45]), np.zeros(3)))
+    alone = knowing(model, [near])
+    one, other = shot(model, nearest, backend=backend), shot(alone, nearest, backend=backend)
+    assert np.abs(one["rgb"] - other["rgb"]).max() < 1e-5 and np.abs(one["rgb"] - shot(model, nearest, PLAIN)["rgb"]).max() > 0.02
+
+
+def test_a_view_is_compared_with_the_lenses_around_it():
+    """A camera's own place has its own lens, also beside another lens in the same place; between two it has something between."""
+    places, focals = ([0.0, 0, 0], [0.0, 0, 0], [4.0, 0, 0], [0.0, 4.0, 0]), (50.0, 100.0, 60.0, 80.0)
+    cameras = [fg.Camera(64, 48, focal, focal, 32, 24, look_at(np.array(place), np.array(place) + [0.0, 1, 0]))
+               for place, focal in zip(places, focals)]
+    instance = Instance(knowing(random_model(np.random.default_rng(0), 3), cameras), np.eye(4), 0.0)
+    for camera in cameras:
+        assert instance.viewed(camera).sampling.zoom == pytest.approx(1, abs=1e-6)
+    assert [instance.viewed(finer(camera, 4)).sampling.zoom for camera in cameras] == pytest.approx([2, 4, 4, 4], rel=0.2)
+    path = [replace(cameras[2], world_to_camera=look_at(np.array([x, 0.0, 0]), np.array([x, 1.0, 0]))) for x in np.linspace(0.5, 4, 400)]
+    zooms = [instance.viewed(camera).sampling.zoom for camera in path]
+    assert min(zooms) > 0.6 and max(zooms) < 1.2 and np.abs(np.diff(zooms)).max() < 0.01
+    assert instance.viewed(replace(cameras[0], orthographic=True)).sampling.zoom == 0
+
+
 def test_the_finest_pixel_is_that_of_the_sharpest_camera_that_sees_a_place(rng):
     """Depth by focal length, the least over those in whose picture the place is; never more than the coarsest."""
     cameras = uneven()

@@ -53,7 +53,7 @@ export function frameTable(camera, views, places, count, member, width) {
       GEOMETRY: [...split(geometry), layout.geometry, layout.colours], COLOUR: [...split(colour), layout.colour, layout.degree],
       CHANGES: [changing, kinds.changing.terms, changeFirst, changes.length], TIME: [t, kinds.code, moving, layout.groups],
       BASES: [moveFirst, moves.length, turning, kinds.turns], GROUP: [turnFirst, turns.length, member[number], Math.floor(first / width)],
-      RASTER: [view.near, raster.alpha_max, raster.alpha_cut, raster.blur], FIRST: [first % width, view.far, sampling.pixel, +sampling.fades],
+      RASTER: [view.near, raster.alpha_max, raster.alpha_cut, raster.blur], FIRST: [first % width, view.far, sampling.pixel, sampling.zoom],
       BEYOND: sampling.ball, SAMPLING: [sampling.coarse, sampling.least, sampling.reach, sampling.cameras.length],
     }));
     for (const k of [1, 2]) head[INSTANCE.TO_CAMERA + k] = four(m, k);

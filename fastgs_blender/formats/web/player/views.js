@@ -3,7 +3,7 @@
 import { LIBRARY } from "./library.js";
 import { determinant, inverse, multiplied, stretch } from "./matrices.js";
 
-const { LIMIT, WITHIN } = LIBRARY.view;
+const { LENS, LIMIT, WITHIN } = LIBRARY.view;
 
 /** Camera.tangent_limits() */
 export function tangentLimits({ width, height, fx, fy, cx, cy }) {
@@ -28,16 +28,29 @@ export function viewed(instance, kinds, camera, toCamera) {
   const rows = multiplied(toCamera, instance.place), toModel = inverse(rows);
   const scale = Math.cbrt(Math.abs(determinant(instance.place))), { sampling, backdrop } = instance;
   const known = sampling && scale > 0;
-  const pixel = known ? 1 / (Math.sqrt(Math.abs(camera.fx * camera.fy)) * scale) : 0;
+  const focal = Math.sqrt(Math.abs(camera.fx * camera.fy)), pixel = known ? 1 / (focal * scale) : 0;
+  const zoom = known && !camera.orthographic ? stood(sampling, [3, 7, 11].map((k) => toModel[k]), focal) : 0;
   const inRange = rows.every((value) => Math.abs(value) <= LIMIT);
   return {
     ...instance, kinds, rows, toModel, near: Math.max(camera.near || 0, kinds.raster.near * scale),
     far: inRange ? Math.min(camera.far ?? LIMIT, LIMIT) : -1, stretch: stretch(rows),
-    ball: ball(kinds.backdrop, backdrop, toModel), sampling: { ...(known ? sampling : OFF), pixel },
+    ball: ball(kinds.backdrop, backdrop, toModel), sampling: { ...(known ? sampling : OFF), pixel, zoom },
   };
 }
 
-const OFF = { ball: [0, 0, 0, 0], coarse: 0, least: 0, reach: 0, fades: false, cameras: [] };
+/** Sampling.stood(). */
+function stood({ ball, cameras }, place, focal) {
+  let sum = 0, weights = 0;
+  for (const camera of cameras) {
+    const away = (Math.hypot(...place.map((x, k) => camera[k] - x)) / Math.max(ball[3], 1e-12)) ** 2;
+    const weight = Math.max(away + LENS * Math.log(focal * camera[3]) ** 2, 1e-12) ** -2;
+    sum += weight * focal * camera[3];
+    weights += weight;
+  }
+  return weights > 0 ? sum / weights : 0;
+}
+
+const OFF = { ball: [0, 0, 0, 0], coarse: 0, least: 0, reach: 0, cameras: [] };
 
 /** ViewedInstance.ball: in which a Gaussian must rest to be drawn. */
 function ball(backdrop, shown, toModel) {

@@ -104,7 +104,8 @@ fn thread(n: u32) {
     var both = view.raster.xx;
     if view.sampling.x > 0.0 {
         both = blurs(vec2i(i32(view.sampled.z), 0), i32(view.sampled.y), view.raster.x, view.sampling.x * select(p.z, 1.0, flat),
-                     view.sampled.x != 0u, view.beyond, view.sampling.yzw, position, max(sizes.x, max(sizes.y, sizes.z)));
+                     view.sampled.x != 0u, view.beyond, vec4f(view.sampling.yzw, view.time.y), position,
+                     max(sizes.x, max(sizes.y, sizes.z)));
     }
     let blur = both.x;
     let found = footprint(u, v, blur);

@@ -11,8 +11,8 @@ struct View {
     depths: vec4f,   // near, far, middle of the image in x and in y
     raster: vec4f,   // blur, highest alpha, alpha cut, log2 of the cut
     ball: vec4f,     // centre, squared radius
-    time: vec4f,     // t
-    beyond: vec4f,   // rendering/distance.py, Sampling: the ball that holds the capture's cameras
+    time: vec4f,     // t; of Sampling (rendering/distance.py): zoom
+    beyond: vec4f,   // of Sampling: the ball that holds the capture's cameras
     sampling: vec4f, // pixel, coarse, least, reach
     sampled: vec4u,  // whether it fades; number of cameras; their first number in `extra`
     look: array<vec4f, 5>,
