@@ -189,8 +189,8 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
         name="Render Density", description="Share of the Gaussians that final renders and exports show, the most important ones first",
         default=1.0, min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)
     antialias: BoolProperty(
-        name="Antialias", description="Draw splats as the capture's cameras saw them: fainter in coarser pixels, so that nothing "
-        "flickers from afar, and softer in finer pixels, so that close-ups show no needles. The file must know those cameras",
+        name="Antialias", description="Draw splats as the capture's cameras saw them: finer in coarser pixels, so that small pictures "
+        "stay sharp, and softer in finer pixels, so that close-ups show no needles. The file must know those cameras",
         default=True, **_SHOWN)
 
 

@@ -64,7 +64,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     blur.add_argument("--lens-samples", type=int, default=64, metavar="N", help="points of the lens, at the most (default: 64)")
     parser.add_argument("--sorting", default="centre", choices=("centre", "pixel"), help="which splats lie in front: all by the depth of "
                         "their centres, or in each pixel by their depth there, which is slower and does not pop (default: centre)")
-    parser.add_argument("--no-antialias", action="store_true", help="do not draw splats fainter in coarser pixels than the capture's "
+    parser.add_argument("--no-antialias", action="store_true", help="do not draw splats finer in coarser pixels than the capture's "
                         "cameras had, and softer in finer ones")
     parser.add_argument("--overwrite", action="store_true", help="render frames again that are there already")
     add_backend(parser)

@@ -3,17 +3,18 @@
 
 The rasteriser's blur b gives every splat a smallest size of about a pixel.  Training adapts the Gaussians to that blur, with the pixels of
 the capture's cameras.  Let a pixel of the view have the size p at a Gaussian, and let C be the coarsest and F the finest pixel that the
-capture's cameras had there (in units of the model, F <= C).  S is the splat's covariance without the blur.  N is what the view is compared
-with: the pixel of one of the capture's cameras in the view's place, but at least F and at most C.
+capture's cameras had there (in units of the model, F <= C).  S is the splat's covariance without the blur.  R is the pixel of one of the
+capture's cameras in the view's place, but at least F and at most C.
 
-    p > C    Its Gaussian shrinks in the picture, the blur does not: edges grow thick, fine detail flickers.  Its opacity, and the cut of
-             its opacity, are multiplied by  sqrt(det(S + b C^2/p^2) / det(S + b)).
-    p < N    Nobody saw what lies between the pixels of the capture: needles and gaps appear.  The blur becomes  b N^2/p^2:  as wide on
-             the surface as in training, with the opacity that training gave it.  F is the sampling limit of Mip-Splatting's 3D filter.
-             It is too sharp alone: where cameras stand at all distances, the farther ones shaped the Gaussians, each with its own blur.
-    else     Nothing changes, so from the capture's own cameras pictures keep every byte.
+    p > R    The small picture is to be the large one, averaged.  The blur of training shrinks with the picture, and a pixel averages with
+             about `box`: the blur becomes  b q + box (1 - q),  q = R^2/p^2.  With all of b, edges would grow thick, and fine detail would
+             be lost or flicker.  Opacity, and the cut of it, are multiplied by  sqrt(det(S + b q) / det(S + b q + box (1 - q))).
+    p < R    Nobody saw what lies between the pixels of the capture: needles and gaps appear.  The blur becomes  b R^2/p^2:  as wide on
+             the surface as in training, with the opacity that training gave it.
+    p = R    Nothing changes, so from the capture's own cameras pictures keep every byte.
 
-This is what Mip-Splatting (Yu et al. 2024) does with its two filters, for models that were trained without them.
+This is what Mip-Splatting (Yu et al. 2024) does with its two filters, for models that were trained without them.  F, its sampling limit, is
+too sharp alone: where cameras stand at all distances, the farther ones shaped the Gaussians, each with its own blur.
 
 Coarsest: the cameras count as the smallest ball around them, with the shortest of their focal lengths.  Finest: a camera i sees a
 Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis, with pixels of
@@ -23,7 +24,8 @@ Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis
 which is its depth by its focal length where any of the splat may touch the picture (T_i: tangent from the axis to the farthest corner), and
 grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is the least of them, and never more than C.
 
-N: its focal length is that of the cameras around the view, see Sampling.stood().  Orthographic views stand nowhere: there N is F.
+R has the focal length of the cameras around the view, see Sampling.stood().  Orthographic views stand nowhere: their R is p, but at least F
+and at most C.
 """
 from functools import lru_cache
 from typing import NamedTuple
@@ -37,6 +39,8 @@ MARGIN = 1.01
 """How many times larger or smaller a pixel must be before anything changes: a camera's numbers are rounded on their way through files."""
 STEPS = 200
 """Steps towards the centre of the ball, which is found to about one part in as many."""
+BOX = 0.1
+"""What a pixel averages over, as a Gaussian's variance in square pixels (Mip-Splatting's 2D filter)."""
 LENS = 0.01
 """How far from a view a lens counts that is e times as long, in squared radii of the ball."""
 STEEP = 8.0
@@ -51,8 +55,8 @@ class Sampling(NamedTuple):
     coarse   C is `coarse` times the distance to the farthest point of the ball; 0: no cameras are known
     least    no camera's pixels count as finer
     reach    standard deviations from its centre at which a splat still touches a picture
-    fades    whether opacity is lowered where p > C
-    zoom     the view's focal length, by that of the cameras around it; 0: none is known, or the view is orthographic
+    fades    whether anything changes where p > R
+    zoom     the view's focal length, by that of the cameras around it; 1: none is known, or the view is orthographic
     cameras  [K, 8] float64: place, 1 / f_i, the axis (a unit vector), 1 / T_i
     """
 
@@ -98,17 +102,17 @@ class Sampling(NamedTuple):
         """
         away = ((self.cameras[:, :3] - place) ** 2).sum(1) / max(self.ball[3], 1e-12) ** 2
         weight = np.maximum(away + LENS * np.log(focal * self.cameras[:, 3]) ** 2, 1e-12) ** -2
-        return float(focal * np.average(self.cameras[:, 3], weights=weight)) if len(weight) else 0.0
+        return float(focal * np.average(self.cameras[:, 3], weights=weight)) if len(weight) else 1.0
 
     def blurs(self, blur: float, position: np.ndarray, largest: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """The blur [M] with which Gaussians at depths [M] before the view are drawn, and the one whose share of opacity they keep."""
         if not self.pixel > 0:
             return np.full(len(position), blur), np.full(len(position), blur)
-        size, coarsest = np.maximum(self.pixel * depth, 1e-30), self.coarsest(position)
-        compared = np.maximum(self.finest(position, largest), np.minimum(self.zoom * size, coarsest))
-        finer = np.maximum(compared / (MARGIN * size), 1)
-        coarser = np.maximum(size / (MARGIN * np.maximum(coarsest, 1e-30)), 1) if self.fades else 1
-        return blur * finer**2, blur * finer**2 / coarser**2
+        size = np.maximum(self.pixel * depth, 1e-30)
+        ratio = np.maximum(self.finest(position, largest), np.minimum(self.zoom * size, self.coarsest(position))) / size
+        small = blur * np.maximum(ratio / MARGIN, 1) ** 2
+        shrunk = np.minimum(ratio * MARGIN, 1) ** 2 if self.fades else 1
+        return small * shrunk + min(BOX, blur) * (1 - shrunk), small * shrunk
 
     def most_blur(self, blur: float, position: np.ndarray, depth: np.ndarray) -> np.ndarray:
         """What the blur [M] is at most, found without a look at each camera."""
@@ -117,7 +121,7 @@ class Sampling(NamedTuple):
         return blur * np.maximum(self.coarsest(position) / (MARGIN * np.maximum(self.pixel * depth, 1e-30)), 1) ** 2
 
 
-OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, 0.0, np.zeros((0, 8)))
+OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, 1.0, np.zeros((0, 8)))
 """Nothing changes with the distance."""
 
 

@@ -58,7 +58,7 @@ class ObjectSettings:
     exposure to max_size  the looks (LOOKS), in the units of looks.py
     density   share of the Gaussians that are shown, the most important ones
     backdrop  whether the model's backdrop is drawn: 'INSIDE' (only by cameras that stand inside it), 'SHOWN' (always), 'HIDDEN'
-    antialias whether splats are drawn as the capture's cameras sampled them: fainter from afar, softer from nearby (distance.py)
+    antialias whether splats are drawn as the capture's cameras sampled them: finer from afar, softer from nearby (distance.py)
     bends     whether what reaches the camera's plane beside the picture is projected so that it does not explode (oracle.nearness)
     casts     whether its splats throw shadows
     unlit_by, clear_to  the names of lamps that do not light it, and of those whose light it lets through (Lamp.name)
@@ -225,7 +225,7 @@ class Instance:
             return OFF._replace(least=least)
         x, y, z, radius, focal = camera_ball(cameras)
         rows, reach = camera_rows(cameras, raster.blur, raster.alpha_cut)
-        return Sampling((x, y, z, radius), 0.0, 1 / focal, least, reach, not raster.antialiased, 0.0, rows)
+        return Sampling((x, y, z, radius), 0.0, 1 / focal, least, reach, not raster.antialiased, 1.0, rows)
 
     @property
     def identity(self) -> tuple[str, int]:
@@ -271,7 +271,7 @@ class ViewedInstance(Instance):
         if not captured.known or not size > 0:
             return OFF
         focal = float(np.sqrt(abs(self.camera.fx * self.camera.fy)))
-        zoom = 0.0 if self.camera.orthographic else captured.stood(self.camera_to_model[:3, 3], focal)
+        zoom = 1.0 if self.camera.orthographic else captured.stood(self.camera_to_model[:3, 3], focal)
         return captured._replace(pixel=1 / (focal * size), zoom=zoom)
 
     @cached_property

@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import math
 
-from ...rendering.distance import MARGIN, STEEP
+from ...rendering.distance import BOX, MARGIN, STEEP
 from .jit import inline
-from .lanes import anywhere, where
+from .lanes import anywhere
 
 PIXEL = 4
 """Place of a view's pixel size in distance.Sampling.row."""
@@ -26,9 +26,9 @@ def blurs(px, py, pz, depth, largest, blur, sampling):
     row, cameras = sampling
     _, _, _, _, pixel, _, least, reach, fades, zoom = row
     size, found = pixel * depth, coarsest(px, py, pz, row)
-    far, fainter, here = size > MARGIN * found, MARGIN * found / size, max(min(found, zoom * size), least)
+    here = max(min(found, zoom * size), least)
     for i in range(len(cameras)):
-        if not anywhere(found > max(here, MARGIN * size)):
+        if not anywhere(found > here):
             break
         x, y, z = px - cameras[i, 0], py - cameras[i, 1], pz - cameras[i, 2]
         along = x * cameras[i, 4] + y * cameras[i, 5] + z * cameras[i, 6]
@@ -37,8 +37,11 @@ def blurs(px, py, pz, depth, largest, blur, sampling):
         r = math.sqrt(max(x * x + y * y + z * z - along * along, 0.0))
         outside = max((r - reach * largest) * cameras[i, 7] - along, 0.0)
         found = min(found, (abs(along) + STEEP * outside) * cameras[i, 3])
-    finer = max(max(found, here) / (MARGIN * size), 1.0)
-    return where(far, blur, blur * finer * finer), where(far, blur * fainter * fainter if fades > 0.0 else blur, blur * finer * finer)
+    ratio = max(found, here) / size
+    finer, shrunk = max(ratio / MARGIN, 1.0), min(ratio * MARGIN, 1.0) if fades > 0.0 else 1.0
+    shrunk *= shrunk
+    small = blur * finer * finer * shrunk
+    return small + min(BOX, blur) * (1.0 - shrunk), small
 
 
 @inline

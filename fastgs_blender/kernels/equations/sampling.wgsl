@@ -5,15 +5,8 @@
 
 fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: vec4f, sampling: vec4f, position: vec3f, largest: f32) -> vec2f {
     var found: f32 = max(sampling.y, sampling.x * (ball.w + length(position - ball.xyz)));
-    if (size > {MARGIN} * found) {
-        let k: f32 = {MARGIN} * found / size;
-        if (fades) {
-            return vec2f(blur, blur * k * k);
-        }
-        return vec2f(blur, blur);
-    }
     let here: f32 = max(min(found, sampling.w * size), sampling.y);
-    for (var i: i32 = 0; i < cameras && found > max(here, {MARGIN} * size); i++) {
+    for (var i: i32 = 0; i < cameras && found > here; i++) {
         let place: vec4f = captured(source, 2 * i);
         let axis: vec4f = captured(source, 2 * i + 1);
         let away: vec3f = position - place.xyz;
@@ -24,6 +17,12 @@ fn blurs(source: vec2i, cameras: i32, blur: f32, size: f32, fades: bool, ball: v
             found = min(found, close + {STEEP} * max((r - sampling.z * largest) * axis.w - along, 0.0) * place.w);
         }
     }
-    let finer: f32 = max(max(found, here) / ({MARGIN} * size), 1.0);
-    return vec2f(blur * finer * finer, blur * finer * finer);
+    let ratio: f32 = max(found, here) / size;
+    let finer: f32 = max(ratio / {MARGIN}, 1.0);
+    var shrunk: f32 = 1.0;
+    if (fades) {
+        shrunk = min(ratio * {MARGIN}, 1.0);
+    }
+    let small: f32 = blur * finer * finer * shrunk * shrunk;
+    return vec2f(small + min({BOX}, blur) * (1.0 - shrunk * shrunk), small);
 }

@@ -14,14 +14,14 @@ import numpy as np
 from ...model.appearance import ACTIVATIONS, APPEARANCES, DECODES, SH_C0, SH_C1, SH_C2, SH_C3, SH_C4
 from ...model.temporal import KINDS
 from ...rendering.colour import SRGB_CUT, SRGB_GAMMA, SRGB_LINEAR_CUT, SRGB_OFFSET, SRGB_SLOPE
-from ...rendering.distance import MARGIN, STEEP
+from ...rendering.distance import BOX, MARGIN, STEEP
 from ...rendering.oracle import REACH
 
 FOLDER = Path(__file__).parent
 BACKWARD = "//backward\n"
 """In a file that is included: what follows is for stages of the backward pass alone."""
 CONSTANTS = {
-    "REACH": REACH, "MARGIN": MARGIN, "STEEP": STEEP,
+    "REACH": REACH, "BOX": BOX, "MARGIN": MARGIN, "STEEP": STEEP,
     "SH_C0": SH_C0, "SH_C1": SH_C1, **{f"SH_C{degree}_{i}": value for degree, values in ((2, SH_C2), (3, SH_C3), (4, SH_C4))
                                        for i, value in enumerate(values)},
     "SRGB_CUT": SRGB_CUT, "SRGB_GAMMA": SRGB_GAMMA, "SRGB_LINEAR_CUT": SRGB_LINEAR_CUT, "SRGB_OFFSET": SRGB_OFFSET,

@@ -29,7 +29,7 @@ export function viewed(instance, kinds, camera, toCamera) {
   const scale = Math.cbrt(Math.abs(determinant(instance.place))), { sampling, backdrop } = instance;
   const known = sampling && scale > 0;
   const focal = Math.sqrt(Math.abs(camera.fx * camera.fy)), pixel = known ? 1 / (focal * scale) : 0;
-  const zoom = known && !camera.orthographic ? stood(sampling, [3, 7, 11].map((k) => toModel[k]), focal) : 0;
+  const zoom = known && !camera.orthographic ? stood(sampling, [3, 7, 11].map((k) => toModel[k]), focal) : 1;
   const inRange = rows.every((value) => Math.abs(value) <= LIMIT);
   return {
     ...instance, kinds, rows, toModel, near: Math.max(camera.near || 0, kinds.raster.near * scale),
@@ -47,7 +47,7 @@ function stood({ ball, cameras }, place, focal) {
     sum += weight * focal * camera[3];
     weights += weight;
   }
-  return weights > 0 ? sum / weights : 0;
+  return weights > 0 ? sum / weights : 1;
 }
 
 const OFF = { ball: [0, 0, 0, 0], coarse: 0, least: 0, reach: 0, cameras: [] };
