@@ -30,7 +30,7 @@ class FASTGS_OT_align_pairs(Action, bpy.types.Operator):
     """Move the selected capture onto the active one by three places that are clicked on both, in turns: one on it, the same one there"""
 
     bl_idname = "fastgs.align_pairs"
-    bl_label = "Align by Three Pairs"
+    bl_label = "Align by Pairs"
     needs = (OBJECT_MODE, TWO)
 
     scale: BoolProperty(name="Scale", description="Change its size too; without this it is only moved and turned", default=True)

@@ -1,9 +1,10 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Grow to the Thing: from strokes, or from what is selected, to all that belongs to it."""
 import bpy
+import numpy as np
 from bpy.props import EnumProperty, FloatProperty
 
-from ..fastgs_blender.selecting.grow import connected, grow
+from ..fastgs_blender.selecting.grow import connected, grow, unsure
 from ..scene import objects, selection
 from ..scene.background import in_background
 from .action import EDITABLE_SPLATS, Need
@@ -11,6 +12,10 @@ from .stepwise import Stepwise
 
 BEGUN = Need(lambda context: EDITABLE_SPLATS.met(context) and bool(context.object.fastgs.wanted or context.object.fastgs.selection),
              "Draw a stroke over the thing first, with one of the tools that select")
+
+
+ASK = ("1 part is unsure (pink, or violet where not selected): draw over it with Shift or Ctrl, and grow again",
+       "{} parts are unsure (pink, or violet where not selected): draw over each with Shift or Ctrl, and grow again")
 
 
 class FASTGS_OT_grow(Stepwise, bpy.types.Operator):
@@ -44,16 +49,24 @@ class FASTGS_OT_grow(Stepwise, bpy.types.Operator):
         yes, no = (selection.bits(obj, name)[own] for name in ("wanted" if obj.fastgs.wanted else "selection", "refused"))
         if self.to == 'CONNECTED':
             yes = selection.bits(obj, "selection")[own]
-        work = (lambda progress: grow(model, yes, no, self.reach)) if self.to == 'THING' else (lambda progress: connected(model, yes))
+
+        def work(progress):
+            if self.to == 'CONNECTED':
+                return connected(model, yes), np.zeros(len(yes), int)
+            thing = grow(model, yes, no, self.reach)
+            return thing, unsure(model, yes, no, thing)
+
         found = yield from in_background(work)
-        out = own.copy()
-        out[own] = found
+        out = np.zeros((2, len(own)), int)
+        out[:, own] = found
         return out
 
     def finish(self, context, result):
         obj = bpy.data.objects[self._name]
-        if not result.any():
+        thing, part = result[0] > 0, result[1] * selection.own(obj)
+        if not thing.any():
             self.warn("the stroke says too little of what belongs together, so nothing grew; draw a longer one over the thing")
             return None
-        selection.put(obj, selection=result & selection.own(obj))
-        return f"{selection.bits(obj, 'selection').sum():,} Gaussians selected"
+        selection.put(obj, selection=thing & selection.own(obj), unsure=part > 0)
+        count, told = len(np.unique(part[part > 0])), f"{selection.bits(obj, 'selection').sum():,} Gaussians selected"
+        return f"{told}; {ASK[count > 1].format(count)}" if count else told

@@ -11,7 +11,7 @@ from ..fastgs_blender.rendering.masks import pack_mask, unpack_mask
 from ..fastgs_blender.training.initial.neighbours import neighbour_distance
 from . import objects, parts
 
-MASKS = ("part", "mask", "selection", "wanted", "refused")
+MASKS = ("part", "mask", "selection", "wanted", "refused", "unsure")
 MOMENTS = (1 / 6, 1 / 2, 5 / 6)
 """Of the clip, at which places are compared."""
 NEAR = 4

@@ -182,6 +182,9 @@ class FASTGS_PG_object(_Shared, bpy.types.PropertyGroup):
     refused: StringProperty(
         name="Refused", description="Which Gaussians were drawn over to be taken out of the selection, packed: where Grow ends",
         options={'HIDDEN'}, override=_OWN)
+    unsure: StringProperty(
+        name="Unsure", description="Of which Gaussians Grow could not tell whether they belong to the thing, packed", options={'HIDDEN'},
+        override=_OWN)
     viewport_density: FloatProperty(
         name="Viewport Density", description="Share of the Gaussians that viewports show, the most important ones first", default=1.0,
         min=0.0, max=1.0, subtype='FACTOR', **_SHOWN)

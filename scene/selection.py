@@ -16,12 +16,13 @@ from ..fastgs_blender.selecting.light import Light
 from ..fastgs_blender.selecting.shapes import Ball, Shape, seen_surface, seen_under, touched, under
 from . import objects, parts, snapshot, updates
 
-PICKED = "selection", "wanted", "refused"
-"""Masks of what is selected and of what was drawn over: Grow to the Thing begins with these, and other ways to select forget them."""
+PICKED = "selection", "wanted", "refused", "unsure"
+"""Masks of what is selected, of what was drawn over, where Grow to the Thing begins, and of what it was not sure of; other ways to select
+forget all but the first."""
 
 
 def bits(obj, name: str) -> np.ndarray:
-    """One of an object's masks ("mask", "selection", "wanted", "refused") or its "part": [N] bool of its file's Gaussians."""
+    """One of an object's masks ("mask", "selection", "wanted", "refused", "unsure") or its "part": [N] bool of its file's Gaussians."""
     count, text = len(objects.load_one_model(obj, "selected")), getattr(obj.fastgs, name)
     return np.ones(count, bool) if name == "part" and not text else unpack_mask(text, count)
 
@@ -66,6 +67,7 @@ def drawn(obj, found: np.ndarray, how: str, meant: np.ndarray | None = None) -> 
     """
     meant = found if meant is None else meant
     before = tuple(getattr(obj.fastgs, name) for name in PICKED)
+    put(obj, unsure=bits(obj, "unsure") & ~(found | meant) & (how != 'SET'))
     if how == 'SET':
         put(obj, selection=found, wanted=meant, refused=np.zeros_like(found))
     elif how == 'ADD':

@@ -16,8 +16,10 @@ from .time import Retime, shown_frames
 
 SELECTED = ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.52, 0.04), mark=1)
 REFUSED = ObjectSettings(saturation=0.05, exposure=0.5, gamma=1.2, tint=(0.1, 0.5, 2.0), mark=-1)
+UNSURE = (ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(0.75, 0.2, 2.1)),
+          ObjectSettings(saturation=0.05, exposure=0.7, gamma=1.2, tint=(1.9, 0.22, 0.75)))
 ERASED = ObjectSettings(saturation=0.05, exposure=0.8, gamma=1.2, tint=(1.8, 0.05, 0.12))
-"""The looks, on top of an object's own, in which viewports show what is selected, refused or erased."""
+"""The looks, on top of an object's own, in which viewports show what is selected, refused, unsure (not selected; selected) or erased."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -32,8 +34,8 @@ class FileInstance:
     index      the object's number, its pass index
     place      what finds the instance again on another frame
     points     what modifiers have made of its points, with *Modifiers Change: Splats*
-    part       which Gaussians of the file are the object's (parts.py); the settings' mask, and these two masks, are of its own:
-    selection, refused  what of it is selected, and was drawn over to be none of that; both are what viewports alone show
+    part       which Gaussians of the file are the object's (parts.py); the settings' mask, and these three masks, are of its own:
+    selection, refused, unsure  what of it is selected, was drawn over to be none of that, and may be either; viewports alone show them
     trouble    why it cannot be shown, whatever its file holds: a sentence, or ""
     """
 
@@ -48,6 +50,7 @@ class FileInstance:
     part: str = ""
     selection: str = ""
     refused: str = ""
+    unsure: str = ""
     trouble: str = ""
 
     @property
@@ -81,7 +84,7 @@ class Snapshot:
         return self.frame, self.fps, tuple(item.state for item in self.instances)
 
     def tinted(self, erased: bool = False, alone: bool = False) -> Snapshot:
-        """As viewports show it: what of an object is selected, or refused, has a colour, and with `erased` so has what was erased.
+        """As viewports show it: what of an object is selected, refused or unsure has a colour, and with `erased` so has what was erased.
 
         With `alone` only what has such a colour is shown.  Each colour is an instance of the same model, with another look and all else
         masked: on the GPU the model stays as it is.
@@ -128,9 +131,13 @@ class Snapshot:
 def _tinted(item: FileInstance, erased: bool) -> list[FileInstance]:
     """An object once for each of the colours in which its Gaussians are shown; the first has those of the model."""
     hidden = item.settings.mask
-    picked = [(mask, look) for mask, look in ((item.selection, SELECTED), (item.refused, REFUSED)) if mask]
-    made = [(parts.union(hidden, *(mask for mask, _ in picked)), None)]
-    made += [(parts.union(hidden, parts.all_but(mask)), look) for mask, look in picked]
+    made = [(parts.union(hidden, item.selection, item.refused, item.unsure), None)]
+    made += [(parts.union(hidden, item.unsure, parts.all_but(mask)), look)
+             for mask, look in ((item.selection, SELECTED), (item.refused, REFUSED)) if mask]
+    if item.unsure:
+        sure = parts.union(hidden, parts.all_but(item.unsure))
+        made += [(parts.union(sure, item.selection), UNSURE[0])]
+        made += [(parts.union(sure, parts.all_but(item.selection)), UNSURE[1])] * bool(item.selection)
     made += [(parts.all_but(hidden), ERASED)] * bool(erased and hidden)
     return [replace(item, settings=replace(item.settings if look is None else item.settings.under(look), mask=mask)) for mask, look in made]
 
@@ -167,7 +174,7 @@ def take(depsgraph, visible=lambda obj: True, rendered: bool = True, final: bool
 def _picked(obj) -> dict[str, str]:
     """The masks of what is selected of an evaluated object: its original has them, because they are no reason to evaluate it again."""
     settings = obj.original.fastgs
-    return {name: parts.within(settings.part, getattr(settings, name)) for name in ("selection", "refused")}
+    return {name: parts.within(settings.part, getattr(settings, name)) for name in ("selection", "refused", "unsure")}
 
 
 def instance_of(obj, depsgraph, placement: np.ndarray, final: bool = False, maker=None) -> FileInstance:

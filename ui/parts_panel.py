@@ -121,7 +121,7 @@ class FASTGS_PT_parts_stitch(_Below, bpy.types.Panel):
     def draw(self, context):
         layout = self.layout
         row = layout.row(align=True)
-        row.operator("fastgs.align_pairs", text="Align by Pairs", icon='SNAP_VERTEX')
+        row.operator("fastgs.align_pairs", icon='SNAP_VERTEX')
         row.operator("fastgs.align_overlap", text="by Overlap")
         row = layout.row(align=True)
         row.operator("fastgs.match_grade", icon='COLOR')

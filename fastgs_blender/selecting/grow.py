@@ -21,7 +21,7 @@ from ..rendering.filters import base_colours
 from ..util.curve import hilbert_order
 from ..util.errors import FastGSError
 from .joins import LOOSE, joins
-from .spans import continued, spanned
+from .spans import continued, spanned, untold
 
 PULL, MOST_PULL = 0.3, 0.03
 """How strongly a Gaussian of a stroke is pulled, by the sum of the weights that meet in it, with MANY Gaussians; and at most.  By more, a
@@ -95,6 +95,12 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, re
         return thing
     thing = spanned(found, yes, no, thing, may, other < 0.5)
     return continued(found, positions_at(model, 0.5), thing, may)
+
+
+def unsure(model: GaussianModel, yes: np.ndarray, no: np.ndarray, thing: np.ndarray) -> np.ndarray:
+    """The parts that strokes, given as for grow(), leave open of the thing [N] bool that was found: [N] their numbers, 1 the largest; 0 is
+    sure.  One more stroke over a part, of either kind, as a rule decides it for the next grow()."""
+    return untold(joins(model), yes, no, thing, _other(model, yes) < 0.5)
 
 
 def _reached(border: float, reach: float, mean: float) -> float:

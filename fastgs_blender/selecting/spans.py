@@ -29,6 +29,9 @@ FEW = 8
 """The fewest Gaussians of a piece of the thing that tells of another colour, if a Gaussian of the stroke lies in it."""
 ON = 0.1
 """How far at least the two sides of a border lie opposite to each other, if a thing goes on there: 0 side by side, about 0.2 painted."""
+UNTOLD, TOLD = (0.05, 0.7), 0.02
+"""The smallest and the largest piece that may be in doubt, as shares of the Gaussians of the thing; and from which share of a piece on a
+stroke tells of it."""
 
 
 def spanned(found: Joins, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, may: np.ndarray, like: np.ndarray) -> np.ndarray:
@@ -86,3 +89,26 @@ def continued(found: Joins, place: np.ndarray, thing: np.ndarray, may: np.ndarra
     beyond = piece[np.where(thing[i], j, i)]
     goes = np.bincount(beyond, apart, count) > ON * np.bincount(beyond, minlength=count)
     return thing | (goes & (np.bincount(piece, ~may, count) == 0))[piece]
+
+
+def untold(found: Joins, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, like: np.ndarray) -> np.ndarray:
+    """The pieces of one colour of which strokes do not tell whether they belong to a thing: [N] their numbers, 1 the largest; 0 is sure.
+
+    Within the thing these have none of the stroke's colours (`like`); around it they hang on it.  Masks as above.
+    """
+    from ..kernels.cpu.walk import pieces
+
+    (i, j), count = found.ends.T, len(thing)
+    firm = (found.near <= NEAR) & (found.drift <= STILL)
+    piece = pieces(count, found.ends[firm & (found.tint <= ANOTHER) & (thing[i] == thing[j])])
+    size, ours = np.bincount(piece, minlength=count), np.bincount(piece, like, count)
+    hangs = np.zeros(count, bool)
+    hangs[piece[np.where(thing[i], j, i)[firm & (thing[i] != thing[j])]]] = True
+    low, high = (share * thing.sum() for share in UNTOLD)
+    open_ = np.where(thing, ours < 0.5 * size, hangs) & (size > 0) & (size >= low) & (size <= high)
+    for each in yes, no:
+        open_ &= np.bincount(piece, each, count) < TOLD * size
+    largest = np.flatnonzero(open_)
+    number = np.zeros(count, np.int64)
+    number[largest[np.argsort(-size[largest], kind="stable")]] = np.arange(len(largest)) + 1
+    return number[piece]

@@ -231,18 +231,33 @@ def test_swap_hides_no_gaussians_of_other_parts(dirty, module):
 
 
 @pytest.fixture
-def two_balls(fg, make_model, model_file, add_camera, scene):
-    """Two balls of many Gaussians that touch: the first is red and rises, the second green and at rest; [N] which are the first's."""
+def balls(fg, make_model, model_file, add_camera, scene):
+    """balls(blue=1.0): two balls of many Gaussians that touch: the first is red, blue above that height, and rises, the second green and
+    at rest; [N] which are the first's, and which are blue."""
+    def made(blue=1.0):
+        return _balls(fg, make_model, model_file, add_camera, blue)
+
+    return made
+
+
+@pytest.fixture
+def two_balls(balls):
+    return balls()[:2]
+
+
+def _balls(fg, make_model, model_file, add_camera, blue):
     rng, n = np.random.default_rng(8), 900
     red = np.arange(n) % 3 == 0
     place = rng.normal(size=(n, 3))
     place *= 0.5 * rng.random((n, 1)) ** (1 / 3) / np.linalg.norm(place, axis=1, keepdims=True)
+    cap = red & (place[:, 2] > blue)
     model = make_model(n, position=place + np.where(red[:, None], (-0.5, 0, 0), (0.5, 0, 0)), scale=np.full((n, 3), np.log(0.04)),
-                       opacity=np.full(n, 4.0), features=np.where(red[:, None], (0.8, 0.1, 0.1), (0.1, 0.7, 0.1)), basis=fg.Polynomial(1),
+                       opacity=np.full(n, 4.0), basis=fg.Polynomial(1),
+                       features=np.where(cap[:, None], (0.1, 0.1, 0.9), np.where(red[:, None], (0.8, 0.1, 0.1), (0.1, 0.7, 0.1))),
                        motion=np.where(red[:, None, None], (0, 0, 0.6), (0, 0, 0)), mu_tau=np.zeros(n), clip=fg.Clip(10, 24.0), axes="RFU")
     add_camera(type='ORTHO', ortho_scale=4.0)
     bpy.ops.import_scene.fastgs(filepath=model_file(model))
-    return bpy.context.object, red
+    return bpy.context.object, red, cap
 
 
 def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene, monkeypatch):
@@ -266,3 +281,45 @@ def test_a_stroke_grows_to_the_thing(two_balls, module, now, scene, monkeypatch)
     bpy.ops.fastgs.select_kind(kind='ALL')
     assert bpy.ops.fastgs.grow(to='CONNECTED') == {'FINISHED'}
     assert selection.bits(bpy.context.object, "selection").sum() == found.sum()
+
+
+def test_what_grow_is_unsure_of_is_shown_until_strokes_say(balls, module, now, scene, capfd, tmp_path):
+    """A ball with a blue cap, of which a stroke goes over the red alone.  It is asked for the cap; a stroke over the cap decides it."""
+    (obj, _, cap), selection, shapes = balls(blue=0.1), module("scene.selection"), module("fastgs_blender.selecting.shapes")
+    snapshot = module("scene.snapshot")
+
+    def draw(how, *pixels):
+        sight, stroke = selection.Sight(bpy.context.evaluated_depsgraph_get(), now(scene.camera)), shapes.Stroke(pixels, 2.0)
+        selection.drawn(obj, sight.under(obj, stroke, False), how, sight.touched(obj, stroke))
+
+    def unsure():
+        return selection.bits(bpy.context.object, "unsure")
+
+    draw('SET', (24, 27), (24, 29))
+    draw('SUBTRACT', (40, 22), (40, 26))
+    assert bpy.ops.fastgs.grow() == {'FINISHED'} and unsure()[cap].mean() > 0.9 and unsure()[~cap].mean() < 0.1
+    assert "1 part" in capfd.readouterr().out
+    shown = snapshot.take(bpy.context.evaluated_depsgraph_get(), rendered=False).tinted(alone=True).load()[0]
+    looks, marked = [instance.settings.tint for instance in shown], [~instance.hidden for instance in shown]
+    assert (sum(marked) <= 1).all() and np.array_equal(marked[-2] | marked[-1], unsure()) and len(set(looks)) == 4  # one colour each
+    assert not (marked[-2] & selection.bits(obj, "selection")).any() and (marked[-1] <= selection.bits(obj, "selection")).all()
+    draw('SUBTRACT', (24, 17), (24, 18))
+    assert 0 < unsure().sum() < cap.sum()  # the stroke shows
+    assert bpy.ops.fastgs.grow() == {'FINISHED'} and not unsure().any()
+    assert not (selection.bits(obj, "selection") & cap).any() and "unsure" not in capfd.readouterr().out
+    for forgets in (lambda: selection.select(obj, cap), lambda: draw('SET', (24, 27), (24, 29)),
+                    lambda: bpy.ops.fastgs.grow(to='CONNECTED'), lambda: bpy.ops.fastgs.select_kind(kind='NONE')):
+        selection.put(obj, unsure=cap, wanted=cap, selection=cap)
+        forgets()
+        assert not obj.fastgs.unsure
+    name, file = obj.name, str(tmp_path / "a.blend")
+    bpy.ops.ed.undo_push(message="before")
+    selection.put(obj, unsure=cap)
+    bpy.ops.ed.undo_push(message="Grow")
+    kept = obj.fastgs.unsure
+    bpy.ops.ed.undo()
+    assert not bpy.data.objects[name].fastgs.unsure
+    bpy.ops.ed.redo()
+    bpy.ops.wm.save_as_mainfile(filepath=file)
+    bpy.ops.wm.open_mainfile(filepath=file)
+    assert bpy.data.objects[name].fastgs.unsure == kept

@@ -12,10 +12,10 @@ from random_models import random_model
 
 import fastgs_blender as fg
 from fastgs_blender.kernels.cpu.walk import potential
-from fastgs_blender.selecting.grow import connected, grow
+from fastgs_blender.selecting.grow import connected, grow, unsure
 from fastgs_blender.selecting.joins import Joins, joins
 from fastgs_blender.selecting.neighbours import nearest
-from fastgs_blender.selecting.spans import continued, spanned
+from fastgs_blender.selecting.spans import continued, spanned, untold
 
 
 def made(name, count=3000):
@@ -134,13 +134,13 @@ def test_a_stroke_across_colours_means_a_thing_of_several():
 RED, BLUE, HEAD = range(10), range(10, 20), range(20, 24)
 
 
-def chain(parted=(), **changed) -> np.ndarray:
+def chain(parted=(), of=spanned, **changed) -> np.ndarray:
     """What spanned() makes of a thing of 20 in a chain of 40, of which a join at 23 and those of `parted` move; changed: its arguments."""
     rows = dict(yes=range(8, 12), no=[], thing=[*RED, *BLUE], may=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE]) | changed
     first = np.arange(39, dtype=np.int32)
     drift, tint = (np.where(np.isin(first, at), most, 0.0) for at, most in (((23, *parted), 12.0), ((9, 19), 6.0)))
     found = Joins(np.stack([first, first + 1], 1), np.ones(39), drift, tint)
-    return spanned(found, **{name: np.isin(np.arange(40), list(those)) for name, those in rows.items()})
+    return of(found, **{name: np.isin(np.arange(40), list(those)) for name, those in rows.items()})
 
 
 @pytest.mark.parametrize("changed", [
@@ -170,6 +170,40 @@ def test_what_a_good_part_of_a_stroke_crosses_belongs_to_the_thing():
 def test_what_has_colours_of_the_stroke_is_found_first():
     """The rest of the thing, though a piece of other colours behind it belongs to the other side."""
     assert np.flatnonzero(chain(thing=range(16), may=[*RED, *BLUE, *HEAD[1:]])).tolist() == [*RED, *BLUE]
+
+
+def doubts(parted=(), **changed) -> list[list[int]]:
+    """The parts of the same chain of which untold() says that no stroke tells, the largest first; a red stroke, and one beside."""
+    def of(found, may, **rows):
+        return untold(found, **rows)
+
+    number = chain(parted, of, **dict(yes=range(6), no=range(30, 40), like=RED) | changed)
+    return [np.flatnonzero(number == k).tolist() for k in range(1, number.max() + 1)]
+
+
+def test_strokes_leave_parts_open():
+    """Of another colour within the thing, and what hangs on it; not what a stroke goes over, moves, is large or has the stroke's colour."""
+    assert doubts() == [[*BLUE], [*HEAD]]
+    for changed in dict(yes=[*RED, *BLUE[4:8]]), dict(no=BLUE[:3]), dict(like=[*RED, *BLUE]):
+        assert doubts(**changed) == [[*HEAD]]
+    for changed in dict(yes=[*RED, *HEAD]), dict(no=HEAD), dict(parted=[19]), dict(thing=range(15, 20), like=range(20)):
+        assert [*HEAD] not in doubts(**changed)
+    assert doubts(thing=[]) == []
+
+
+def test_one_more_stroke_decides_a_part_that_is_unsure():
+    """A walker, of whose torso alone a stroke knows: the legs hang on it.  A stroke over the whole walker leaves nothing open."""
+    scene = made("walker")
+    yes, no = scenes.strokes(scene.model, scene)
+    assert not unsure(scene.model, yes, no, grow(scene.model, yes, no)).any()
+    torso = yes & (scene.label == scene.names.index("torso"))
+    part = unsure(scene.model, torso, no, grow(scene.model, torso, no))
+    assert {scene.names[k] for k in set(scene.label[part > 0])} <= {"thigh 1", "thigh -1", "shin 1", "shin -1"} and part.max() == 2
+    for number in 1, 2:
+        few = np.isin(np.arange(len(part)), np.flatnonzero(part == number)[:6])
+        for more, less, wanted in ((torso | few, no, True), (torso, no | few, False)):
+            found = grow(scene.model, more, less)
+            assert (found[part == number] == wanted).all() and not (unsure(scene.model, more, less, found) > 0)[few].any()
 
 
 def sheet(beyond, drift=0.0, may=True) -> np.ndarray:
