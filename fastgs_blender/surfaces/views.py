@@ -26,6 +26,8 @@ UNFACED = 0.14
 degrees leave so many, and those of a ring that look down by 46 degrees."""
 FINER = 1.5
 """Pixels to each voxel's edge."""
+FEWEST = 160
+"""Pixels of a picture's side at least: in fewer, depths are too rough to be a surface."""
 SOLID = 0.5
 """Opacity of a pixel from which something is there."""
 FAINT = 0.1
@@ -100,7 +102,7 @@ def filmed_side(model: GaussianModel, subject: Subject) -> np.ndarray | None:
 
 def render_views(subject: Subject, towards: np.ndarray, detail: int, progress: Callable[[float], Any]) -> list[View]:
     """The subject from directions [D, 3]; detail: voxels along the box's longest side."""
-    pixels = int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER))
+    pixels = max(int(np.ceil(float(np.linalg.norm(subject.high - subject.low)) / subject.size * detail * FINER)), FEWEST)
     found, still = [], freeze(subject.model, subject.t)
     for direction in towards:
         found.append(_view(still, subject.camera(direction, pixels)))
