@@ -52,6 +52,7 @@ from .spz import Spz
 from .stg import SpacetimeGaussians
 from .streamed_sog import StreamedSog
 from .supersplat_ply import SuperSplatPly
+from .trainer_cameras import with_cameras
 from .tsog import Tsog
 from .usd import Usd
 from .web import WebPage
@@ -140,7 +141,7 @@ def load(path: str | os.PathLike) -> GaussianModel:
     with _reading(path), np.errstate(all="ignore"):  # a file may hold any numbers
         known = _identify(path)
         single = known.single(path, load) if isinstance(known, SequenceFormat) else None
-        model = usable(known.load(path), path) if single is None else single
+        model = with_cameras(usable(known.load(path), path), path) if single is None else single
     if not model.provenance:
         model.provenance = {"source": path.name, "format": known.name}
     return model

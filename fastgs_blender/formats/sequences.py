@@ -56,7 +56,7 @@ from .turning import with_axes
 
 PLACE = re.compile(r"#+|\[(\d{1,18})-(\d{1,18})\]")
 """Where a pattern's number goes."""
-COMPANIONS = (".pt", ".pth", "/cfg_args", "/cfg.yml", "/config.yml")
+COMPANIONS = (".pt", ".pth", "/cfg_args", "/cameras.json", "/cfg.yml", "/config.yml")
 """What names of files end with that a model's reader may look for beside it: they are unpacked with a single model."""
 LEVELS = streamed_sog.META
 """Of SOG's levels of detail in folders beside each other."""
