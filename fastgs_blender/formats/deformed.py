@@ -24,6 +24,7 @@ from .base import Loader, require_sound, usable
 from .foreign import GAUSSIAN
 from .inria import Inria
 from .sequences import SequenceFormat
+from .trainer_cameras import with_cameras
 
 CLIP = Clip(300, 30.0)
 PLANES = ((0, 1), (0, 2), (0, 3), (1, 2), (1, 3), (2, 3))
@@ -65,7 +66,7 @@ class DeformedFormat(SequenceFormat):
 
     def open(self, path: Path, load: Loader) -> Source:
         file = self.weights_of(path)
-        still = usable(Inria().load(path), path)
+        still = with_cameras(usable(Inria().load(path), path), path)
         settings = cfg_args.find(path)
         if settings is None:
             warnings.warn(LossWarning(f"{path}: its cfg_args are missing, so the network is taken to be of the usual kind."), stacklevel=3)

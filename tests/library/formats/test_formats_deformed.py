@@ -101,6 +101,14 @@ def test_deformable(tmp_path, rng, blender, six):
         np.testing.assert_allclose(shown.features, model.features, atol=1e-6)
 
 
+def test_cameras_of_the_capture_lie_beside_it(tmp_path, rng):
+    _, path, _ = deformable(tmp_path, rng, False, False)
+    (tmp_path / "cfg_args").write_text("Namespace(images='images', resolution=2)")
+    fg.save_cameras([fg.Camera(64, 48, 50, 50, 32, 24, np.eye(4))], tmp_path / "cameras.json")
+    view, = fg.open_source(path).moment(0.3)[0].surroundings.cameras
+    assert (view.width, view.height, view.fx) == (32, 24, 25)
+
+
 def test_axes_keep_their_order_over_time(tmp_path, rng):
     """Neither sign nor order of axes jumps where two sizes become equal, so that a bake follows them."""
     _, path, _ = deformable(tmp_path, rng, False, False)
