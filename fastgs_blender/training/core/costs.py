@@ -18,8 +18,10 @@ n Gaussians that cover p pixels are sqrt(p / n) wide (docs/notes/learning-rates.
 START, DECODED, FEATURES, SWEPT = 3.0, 2.5e-8, 1.5e-6, 0.12
 """What comes before the first step there: seconds in all, for each pixel that is decoded, for each pixel of pictures whose features are
 found and matched, and for each camera and moment of the plane sweep (12 and 20 frames of 10 and 14 cameras, 2026-11-30)."""
-SWEEP_PIXELS, SWEEP_LEAST = 128 * 96, 0.2
-"""Pixels of a picture from which on the sweep takes that long (initial.dense.SWEEP_SIDE), and the share that the smallest ones take."""
+SWEEP_SIDE, FINE_SIDE, FINE_VIEWS = 128, 256, 8
+"""Pictures are shrunk to a longer side of so many pixels for the plane sweep: of many cameras; of as many as the last, or fewer."""
+SWEEP_LEAST, SWEEP_MORE = 0.2, 0.4
+"""The share of that time that the smallest pictures take, and what each further SWEEP_SIDE x 3/4 SWEEP_SIDE pixels of larger ones add."""
 FEATURE_MOMENTS, MOMENTS, MOST_VIEWS, FEATURE_PIXELS = 5, 16, 24, 1024 * 768
 """Moments of which features are found, those of refining cameras too, and at most compared; pictures of a moment at most; and of pixels."""
 SMALL, FULL = 0.9, 0.87
@@ -91,6 +93,11 @@ def measured_pace(pixels: int) -> float:
     return took / seconds_of_step(camera.width * camera.height, MADE)
 
 
+def sweep_side(views: int) -> int:
+    """Pixels of the longer side of the pictures in which the plane sweep compares so many cameras."""
+    return FINE_SIDE if views <= FINE_VIEWS else SWEEP_SIDE
+
+
 def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0, views: int = 0,
              pace: float = 0.0) -> tuple[float, float]:
     """Seconds and bytes of memory that a run will take, roughly: it begins with fewer Gaussians and smaller pictures.
@@ -101,7 +108,8 @@ def estimate(pixels: int, iterations: int, gaussians: int, pictures: int = 0, vi
     pace = pace or 1 / thread_count()
     moments, alone = min(pictures // max(views, 1), MOMENTS), pace * thread_count()  # one thread finds features
     seconds = alone * (START + FEATURES * min(pixels, FEATURE_PIXELS) * views * min(moments + 1, FEATURE_MOMENTS))
-    swept = SWEPT * (SWEEP_LEAST + (1 - SWEEP_LEAST) * min(pixels / SWEEP_PIXELS, 1.0))
+    size = min(pixels, 0.75 * sweep_side(views)**2) / (0.75 * SWEEP_SIDE**2)
+    swept = SWEPT * (SWEEP_LEAST + (1 - SWEEP_LEAST) * min(size, 1.0) + SWEEP_MORE * max(size - 1, 0.0))
     steps = iterations * seconds_of_step(SMALL * pixels, FULL * gaussians)
     seconds += pace * (DECODED * pixels * pictures + swept * min(views, MOST_VIEWS) * moments + steps)
     cached = min(PICTURE_MEMORY, 4 * pixels * pictures) if pictures else PICTURE_MEMORY

@@ -18,6 +18,7 @@ from ...training.core.settings import Settings
 from ...util.backends import load_backend
 from ...util.errors import FastGSError
 from ..core.camera_response import CameraResponse, CorrectedStore
+from ..core.costs import sweep_side
 from ..core.moving_pixels import stands
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
@@ -38,8 +39,6 @@ MOST_VIEWS = 24
 """Pictures of a moment that are compared; more are spread evenly."""
 SAME_SIDE = np.radians(20)
 """Angle within which a view sees what the mean of other views sees."""
-SWEEP_SIDE = 128
-"""Pictures are shrunk to this for the plane sweep."""
 FEATURE_PIXELS = 18_000
 """Pixels of a picture whose features take as long as another part of the work does for a picture: what is left is told by parts."""
 COMPANY, LONELY = 16, 4.0
@@ -73,7 +72,8 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
     how = f"{len(found)} features triangulated"
     if found.t is None or not np.isfinite(found.t).all():
         return evenly(found, settings.init_points), how, store
-    pictures = [[picture(capture, store, settings, shot, SWEEP_SIDE) for shot in shots] for shots in moments]
+    side = sweep_side(max(map(len, moments)))
+    pictures = [[picture(capture, store, settings, shot, side) for shot in shots] for shots in moments]
     near, far = depths_of(found.xyz, capture)
     few = few_cameras(moments)
     centres = capture.centres() if few else None

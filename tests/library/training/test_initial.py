@@ -185,6 +185,20 @@ class Files:
 
 
 @pytest.mark.slow
+def test_pictures_of_few_cameras_are_swept_twice_as_fine(monkeypatch):
+    """Of up to eight; of more it would take too long."""
+    sizes = []
+    monkeypatch.setattr(dense.sweep, "swept", lambda pictures, near, far: sizes.append(max(pictures[0][0].shape)) or 1 / 0)
+    for count in (8, 9):
+        many = [replace(shot, view=f"{shot.view}-{k}") for k in range(3) for shot in shots()]
+        views = sorted({shot.view for shot in many})[:count]
+        capture = Capture(Path("some"), "test", [shot for shot in many if shot.view in views], fg.Clip(FRAMES))
+        with pytest.raises(ZeroDivisionError):
+            initial_points(capture, Files(), settings(init_points=400, init="triangulate"), lambda text: None)
+    assert sizes[0] == 2 * sizes[1]
+
+
+@pytest.mark.slow
 def test_few_cameras_and_small_pictures_give_points_too():
     """Four cameras show most places in pairs; features are looked for in the files' pictures, four times as large as these."""
     quarter = [replace(camera, width=SIZE[0] // 4, height=SIZE[1] // 4, fx=42.5, fy=42.5, cx=SIZE[0] / 8, cy=SIZE[1] / 8, window=None)
