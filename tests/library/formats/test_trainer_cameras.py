@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 
+import mutations
 import numpy as np
 import pytest
 from random_cameras import random_pose
@@ -87,3 +88,19 @@ def test_damaged_files_beside_a_model_cost_its_cameras_alone(ply, name, content)
     with pytest.warns(fg.LossWarning, match=rf"{name}.*point_cloud\.ply"):
         model = fg.load(ply)
     assert len(model) == 8 and not model.surroundings.cameras
+
+
+def test_mutated_files_beside_a_model(ply, tmp_path):
+    """Whatever they say, the model is read, and drawn by the first camera."""
+    said(ply, images="images_4", resolution=-1)
+    root = ply.parents[2]
+    files = {path.relative_to(root).as_posix(): path.read_bytes() for path in (ply, root / "cfg_args", root / "cameras.json")}
+
+    def read(folder):
+        model = fg.load(folder / "point_cloud" / "iteration_7" / "point_cloud.ply")
+        assert len(model) == 8
+        for view in model.surroundings.cameras[:1]:
+            picture = fg.render(model, camera_of(view).stretched(32, 24))
+            assert np.isfinite(picture["rgb"]).all()
+
+    mutations.campaign("trainer cameras", read, {"model": files}, tmp_path / "seeds", fixed=[ply.relative_to(root).as_posix()])
