@@ -24,11 +24,13 @@ from ..util.identity import status_of
 from . import cfg_args
 
 WIDEST = 1600
+WRITTEN = re.compile(r"point_cloud\.ply|chkpnt.*\.pth")
+"""What trainers call their models: files of other names in their folders may be edited, moved or turned, away from these cameras."""
 
 
 def with_cameras(model: GaussianModel, path: Path) -> GaussianModel:
-    """The model of a file, with the cameras that lie beside it if the file itself knows none; a LossWarning where they cannot be read."""
-    settings = None if model.surroundings.cameras else cfg_args.find(path)
+    """The model of a trainer's file, with the cameras that lie beside it if it knows none; a LossWarning where they cannot be read."""
+    settings = None if model.surroundings.cameras or not WRITTEN.fullmatch(path.name) else cfg_args.find(path)
     file = settings and settings.with_name("cameras.json")
     if not (settings and file and file.is_file()):
         return model

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from dataclasses import replace
 
 import mutations
 import numpy as np
@@ -78,6 +79,13 @@ def test_what_a_file_itself_knows_goes_first(ply, tmp_path, poses):
     said(ply, resolution=4)
     fg.save(own, ply.parent / "own.safetensors")
     assert fg.load(ply.parent / "own.safetensors").surroundings == own.surroundings != fg.load(ply).surroundings
+
+
+@pytest.mark.parametrize("name", ["edited.ply", "point_cloud.spz"])
+def test_other_files_in_the_folder_may_have_been_moved(ply, name):
+    said(ply, resolution=-1)
+    fg.save(replace(fg.load(ply), surroundings=fg.Surroundings()), ply.parent / name)
+    assert not fg.load(ply.parent / name).surroundings.cameras
 
 
 @pytest.mark.parametrize(("name", "content"), [
