@@ -34,6 +34,8 @@ SIDE, MOST_FRAMES, LEAST_FRAMES = 320, 96, 12
 """Pictures are shrunk to this; frames that are compared, from the middle of a longer clip; frames that two clips must have in common."""
 NEIGHBOURS = 6
 """Cameras that each one is compared with: the nearest ones."""
+LEAST_SHARE = 1 / 3
+"""Frames of these that a camera must have pictures of: one camera a moment in turn (D-NeRF's splits) tells no clock, two rates do."""
 PLANES, LEAST_PLANES, LEAST_PIXELS = 96, 6, 200
 """Epipolar planes of a pair; those in which something must move in both cameras; pixels that must see what the other camera may see."""
 NOISE, SOLID = 2.0, 8.0
@@ -83,10 +85,11 @@ def pairs(capture: Capture, progress: Callable[[int, int], None] = lambda done, 
 
 
 def _standing(capture: Capture) -> dict[str, list[Shot]]:
-    """By view: its shots in the middle of the clip; only views that stand still."""
+    """By view: its shots in the middle of the clip; only views that stand still and film most of the time."""
     begin = max((capture.clip.frame_count - MOST_FRAMES) // 2, 0)
     shots = by_view(shot for shot in capture.shots if begin <= shot.frame < begin + MOST_FRAMES)
-    return {view: each for view, each in shots.items() if len(each) > 1 and all(map(_stands_as(each[0].camera), each))}
+    least = max(2, LEAST_SHARE * min(capture.clip.frame_count, MOST_FRAMES))
+    return {view: each for view, each in shots.items() if len(each) >= least and all(map(_stands_as(each[0].camera), each))}
 
 
 def _stands_as(first: Camera | None) -> Callable[[Shot], bool]:

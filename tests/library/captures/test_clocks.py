@@ -74,6 +74,16 @@ def test_a_genlocked_capture_stays_as_it_is(frames, tmp_path):
     assert max(map(abs, found.measured.values())) < 0.1
 
 
+def test_cameras_that_take_turns_tell_no_clocks(shifted):
+    """One camera a moment, as in D-NeRF's splits: what moves in the frames between is not known."""
+    capture = open_capture(shifted, offsets={})
+    turns = [shot for shot in capture.shots if shot.frame % len(capture.views) == capture.views.index(shot.view)]
+    assert by_epipolar_planes(replace(capture, shots=turns)) is None
+    half = [shot for shot in capture.shots if shot.frame % 2 == 0 or shot.view != "cam02"]  # a camera of another rate
+    found = by_epipolar_planes(replace(capture, shots=half))
+    assert found is not None and found.measured["cam02"] == pytest.approx(7.3, abs=0.7)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize(("late", "speed"), [(-2.75, 1), (-0.5, 1), (0.3, 1), (3.0, 1), (-1.25, 2), (0.4, 4)])
 def test_fractions_are_found_or_called_unsure(late, speed, tmp_path):
