@@ -90,7 +90,7 @@ class FASTGS_OT_train(Action, TrainingOptions, bpy.types.Operator):
         self.fill(start_frame=scene.frame_start)
         python, capture = installation.python(), self._capture(context, place)
         pixels, views, frames = checks.picture_size(capture)
-        pixels = round(pixels * (self.scale or 1) ** 2)
+        pixels = costs.trained_pixels(self.preset, pixels, self.scale)
         size = costs.size_of(self.preset, self.iterations, self.max_gaussians, pixels * views, frames)
         _, memory = costs.estimate(pixels, *size, views * frames)
         for remark in checks.before_start(place.out, memory):

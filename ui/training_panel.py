@@ -32,7 +32,7 @@ def estimate_rows(context, settings) -> list[tuple[str, str]]:
         pixels, views, pictures = found.width * found.height, found.views, found.views * found.frames
     if not pixels:
         return [("Estimate", "Read the capture first" if settings.source == 'FOLDER' else "Not known yet")]
-    pixels = round(pixels * (settings.scale or 1) ** 2)
+    pixels = costs.trained_pixels(settings.preset, pixels, settings.scale)
     size = costs.size_of(settings.preset, settings.iterations, settings.max_gaussians, pixels * views, pictures // max(views, 1))
     seconds, memory = costs.estimate(pixels, *size, pictures, views)
     rows = [("Estimate", f"about {results.duration(filming + seconds)}")]

@@ -34,7 +34,7 @@ def check(path: str | os.PathLike, *, scale: float | None = None, frames: slice 
     """
     capture = open_capture(path, scale=scale, frames=frames, held_out=held_out, layout=layout)
     report = progress or (lambda *_: None)
-    inspection = Inspection(capture, staged(WEIGHTS, report))
+    inspection = Inspection(capture, staged(WEIGHTS, report), scale is not None)
     sample(inspection)
     sections = {}
     for name in CHECKS:

@@ -1,5 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
 """Estimates the disk space, memory and time that training will need."""
+import math
 from contextlib import suppress
 
 from ..captures.capture import by_view
@@ -49,17 +50,25 @@ def run(inspection: Inspection) -> Section:
     inspection.progress("measuring this machine", 0.0)
     pace, views = costs.measured_pace(pixels), len(inspection.capture.training_views)
     for preset in LENGTHS:
-        seconds, needed = costs.estimate(pixels, *costs.size_of(preset, pixels=moment, frames=capture.clip.frame_count),
-                                         len(capture), views, pace)
+        used = costs.trained_pixels(preset, pixels, float(inspection.scaled))
+        run = costs.size_of(preset, pixels=moment * used / max(pixels, 1), frames=capture.clip.frame_count)
+        seconds, needed = costs.estimate(used, *run, len(capture), views, pace)
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "
                                 "GB are free.",
                         "Close other programs, or train smaller pictures or fewer Gaussians.", (), ("memory", round(needed / 1e9, 2), "GB"))
-    times = "; ".join(f"{preset} {_minutes(row['minutes'])} and {row['memory_gb']:.1f} GB of memory" for preset, row in rows.items())
+        if used < pixels:
+            rows[preset]["scale"] = round(math.sqrt(used / pixels), 2)
+    times = "; ".join(f"{preset}{_smaller(row)} {_minutes(row['minutes'])} and {row['memory_gb']:.1f} GB of memory"
+                      for preset, row in rows.items())
     section.summary += f" Cache: {size / 1e9:.2f} GB{f' of {free / 1e9:.0f} GB free' if free is not None else ''}. Training: {times}."
     section.measures = {"cache_gb": round(size / 1e9, 4), "free_gb": None if free is None else round(free / 1e9, 2), "presets": rows}
     return section
+
+
+def _smaller(row: dict) -> str:
+    return f" (pictures at {row['scale']:.0%} of their size)" if "scale" in row else ""
 
 
 def _minutes(value: float) -> str:

@@ -47,11 +47,13 @@ class Inspection:
     """A capture and its sampled pictures; checks ask it for pictures and matches.
 
     progress(stage, share) is called while something takes long, share in 0..1
+    scaled        whether a scale of the pictures was asked for, which a draft keeps then
     samples       by view, ordered by time
     """
 
     capture: Capture
     progress: Callable[[str, float], None] = lambda stage, share: None
+    scaled: bool = False
     samples: dict[str, list[Sample]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)
 

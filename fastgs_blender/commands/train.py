@@ -45,7 +45,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--init-model", metavar="FILE", help="a model to start from, for example one made by a bake")
     parser.add_argument("--set", action="append", default=[], metavar="NAME=VALUE", help=f"any other option, see {page('training')}")
     parser.add_argument("--layout", metavar="NAME", help="the capture's layout, where it is not recognised")
-    parser.add_argument("--scale", type=float, metavar="X", help="factor on the pictures' size (default: the layout's)")
+    parser.add_argument("--scale", type=float, metavar="X",
+                        help="factor on the pictures' size (default: the layout's; smaller for drafts of large ones)")
     parser.add_argument("--frames", metavar="A:B", help="the part of the capture to train on, frames counted from 0 (default: all)")
     parser.add_argument("--scan", metavar="SCAN", help="photographs of the place, as a capture in the same world, such as of a walk around "
                         "it while it is empty: much better with few cameras")

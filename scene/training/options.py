@@ -58,7 +58,8 @@ class TrainingOptions:
         name="Motion Smoothing", description="How strongly training prefers simple motion; 0 leaves it free",
         default=Settings.motion_weight, min=0.0, soft_max=10.0, precision=3)
     scale: FloatProperty(
-        name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it",
+        name="Picture Scale", description="Factor on the size of the pictures; 0: as the capture's layout has it, and smaller for drafts "
+        "of large ones",
         default=0.0, min=0.0, max=1.0)
     frames: StringProperty(name="Frames", description='Part of the capture, as in "0:99", counted from 0; empty for all of it')
     held_out: StringProperty(

@@ -33,6 +33,8 @@ ROOM, MOST_ROOMS = 2.5e6, 3.0
 """Pixels of one moment, of all training cameras together, for which the presets' numbers of Gaussians are; and how many times as many a
 larger rig gets at most.  31 cameras of 640 x 360 around a hall show more than 18 of 480 x 360 around one room
 (docs/notes/reconstruction.md)."""
+DRAFT_PIXELS = 640 * 480
+"""Pixels of a draft's pictures at most, where no scale is asked for: its few Gaussians show no more (docs/notes/learning-rates.md)."""
 CALM = 7000 * 50_000
 """Steps times Gaussians from which on slopes have the whole floor."""
 FRAMES = 100
@@ -45,6 +47,16 @@ def rooms(pixels: float) -> float:
     pixels  of one moment, of all training cameras
     """
     return min(max(pixels / ROOM, 1.0), MOST_ROOMS)
+
+
+def draft_scale(preset: str, pixels: float) -> float:
+    """The factor on the sides of pictures of so many pixels in a run for which none was asked: 1, but for large pictures in a draft."""
+    return 1.0 if preset.lower() != "draft" or pixels <= DRAFT_PIXELS else math.floor(100 * math.sqrt(DRAFT_PIXELS / pixels)) / 100
+
+
+def trained_pixels(preset: str, pixels: float, scale: float = 0.0) -> int:
+    """The pixels of a picture in a run; scale: the factor that was asked for, 0: none."""
+    return round(pixels * (scale or draft_scale(preset, pixels)) ** 2)
 
 
 def longer(frames: int) -> float:

@@ -74,7 +74,7 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
     from ..core.settings import settings
     from . import follower, session
     from .folder import release
-    from .plan import begin, suited
+    from .plan import begin, smaller, suited
 
     def new(chosen: dict[str, Any]) -> Settings:
         return settings(**{"preset": "standard", **chosen})
@@ -86,10 +86,14 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
         plan = begin(out, dict(wanted), new, resume, overwrite, source)
         try:
             capture = plan.source.open()
+            begins = plan.fresh or not (Path(out) / RUN).exists()
+            if begins and (shrunk := smaller(plan.source, capture, plan.settings.preset)) != plan.source:
+                note(f"pictures are used at {shrunk.scale:.0%} of their size, as in all drafts of large ones; --scale 1 keeps their size")
+                plan, capture = replace(plan, source=shrunk), shrunk.open()
             for remark in capture.notes:
                 note(remark)
             check(capture)
-            if plan.fresh or not (Path(out) / RUN).exists():
+            if begins:
                 plan = replace(plan, settings=suited(plan.settings, capture, wanted))
             backend, about = choose_device(device)  # last: the first time a GPU is tested, which takes a moment
             if about:

@@ -16,7 +16,7 @@ from ...captures.scan import with_scan
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
 from ...util.reading import read_json
-from ..core.costs import calm, longer, rooms
+from ..core.costs import calm, draft_scale, longer, rooms
 from ..core.presets import LENGTHS, WARM_START
 from ..core.settings import Settings, from_dict
 from ..core.spans import spans
@@ -155,6 +155,13 @@ def suited(settings: Settings, capture: Capture, named: Collection[str] = ()) ->
     each = [following(capture.part(cut.first, cut.count), chosen) for cut in cuts]  # segments are joined, so all have the same motion
     freedom = {name: max(getattr(one, name) for one in each) for name in ("order", "rotation_degree") if name not in named}
     return replace(chosen, **freedom)
+
+
+def smaller(source: Source, capture: Capture, preset: str) -> Source:
+    """The source of a new run, with the scale that suits a draft of large pictures (costs.draft_scale), where none was asked for."""
+    pixels = max((shot.camera.width * shot.camera.height for shot in capture.training if shot.camera is not None), default=0)
+    factor = draft_scale(preset, pixels) if source.scale is None else 1.0
+    return source if factor == 1 else replace(source, scale=factor * capture.scale)
 
 
 def _for_its_size(settings: Settings, capture: Capture, frames: int, named: Collection[str]) -> Settings:

@@ -173,3 +173,7 @@ def test_too_little_disk_and_memory_are_told_before(tmp_path, monkeypatch, inspe
     assert [finding.sentence[:len(words)] for finding in section.findings] == ([words] if words else [])
     assert section.measures["cache_gb"] == pytest.approx(3 * 2 * 320 * 240 * 3 / 1e9, abs=6e-5)
     assert set(section.measures["presets"]) == {"draft", "standard", "final"} and "Cache: 0.00 GB" in section.summary
+    monkeypatch.setattr(cost.costs, "DRAFT_PIXELS", 160 * 120)  # a draft takes large pictures smaller, unless a scale is asked for
+    smaller, kept = cost.run(inspection(path)), cost.run(replace(inspection(path), scaled=True))
+    assert smaller.measures["presets"]["draft"]["scale"] == 0.5 and "scale" not in smaller.measures["presets"]["standard"]
+    assert "50%" in smaller.summary and "scale" not in kept.measures["presets"]["draft"]

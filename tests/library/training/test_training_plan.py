@@ -11,6 +11,8 @@ from toy_captures import toy_capture, write_capture
 
 import fastgs_blender as fg
 from fastgs_blender import cli
+from fastgs_blender.captures import open_capture
+from fastgs_blender.training.core import costs
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.run.files import CHECKPOINT, MODEL, RUN
 from fastgs_blender.training.run.plan import Source, plan_from_dict, read_plan, suited
@@ -81,6 +83,19 @@ def test_a_draft_has_less_of_a_floor_under_slopes():
     assert suited(settings("draft"), capture).slope_floor == pytest.approx(whole / 7)
     assert suited(settings(iterations=3500), capture, ("iterations",)).slope_floor == pytest.approx(whole / 2)
     assert suited(settings("draft", slope_floor=whole), capture, ("slope_floor",)).slope_floor == whole
+
+
+@pytest.mark.parametrize(("options", "used"), [(["--preset", "draft"], 0.5), (["--preset", "draft", "--scale", "0.75"], 0.75), ([], 1)])
+def test_a_draft_uses_large_pictures_at_a_smaller_size(options, used, toy, tmp_path, monkeypatch, capsys):
+    """What few Gaussians cannot show costs no time; a scale that is asked for is kept."""
+    shot = open_capture(toy).shots[0]
+    monkeypatch.setattr(costs, "DRAFT_PIXELS", shot.camera.width * shot.camera.height // 4)
+    assert cli.main(["train", str(toy), "--out", str(tmp_path / "run"), *options, *SHORT[:2], *SHORT[3:], "--set", "iterations=2"]) == 0
+    assert json.loads(fg.load(tmp_path / "run" / MODEL).provenance["trained_on"])["scale"] == used
+    assert ("50%" in capsys.readouterr().err) == (used == 0.5)
+    pixels = shot.camera.width * shot.camera.height
+    assert costs.trained_pixels("draft", pixels) == pixels // 4 and costs.trained_pixels("standard", pixels) == pixels
+    assert costs.trained_pixels("DRAFT", pixels, 1.0) == pixels
 
 
 @pytest.mark.parametrize(("options", "words"), [
@@ -155,7 +170,6 @@ def test_the_time_of_a_run_follows_this_machine_and_the_work(monkeypatch, capsys
     """Twice as slow a machine takes twice as long; more cameras take longer before the first step; a measured pace is a real one.  That
     kernels are compiled for it, which takes a minute, is said."""
     from fastgs_blender.kernels import made
-    from fastgs_blender.training.core import costs
     from fastgs_blender.util.threads import thread_count
 
     pace = 1 / thread_count()
