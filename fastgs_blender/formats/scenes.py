@@ -11,7 +11,7 @@ from ..model.parts import told_apart
 from ..model.slicing import freeze, sigmoid
 from ..rendering.colour import linear_to_srgb, srgb_to_linear
 from ..rendering.crops import crop_share
-from ..rendering.distance import Sampling
+from ..rendering.distance import BOX, Sampling
 from ..rendering.instances import Instance
 from ..rendering.looks import Look, graded, look_numbers, size_factor
 from ..util import rotations
@@ -128,16 +128,16 @@ def together(models: list[GaussianModel]) -> GaussianModel:
 def sampled(model: GaussianModel, captured: Sampling) -> GaussianModel:
     """A static model with the capture's sampling limit (rendering/distance.py) in its Gaussians; as it is where it is antialiased already.
 
-    For files that hold no cameras.  The blur b that a pixel of the size F adds to a splat is added to the Gaussian itself, b F^2 to each of
-    its squared standard deviations, and the file says that it is antialiased.  Viewers that follow it (Mip-Splatting's mode: PlayCanvas,
-    SuperSplat, Brush and others) then draw views in finer pixels as smooth as the capture was, and views in coarser ones as faint.  At the
-    size of the training the picture is a little softer, because their own blur comes on top.
+    For files that hold no cameras.  The blur b of training is split as Mip-Splatting does it: BOX is left to the viewer, and the rest,
+    (b - BOX) p^2 for the usual pixel p of the capture's cameras, is added to each squared standard deviation.  The file says that it is
+    antialiased.  Viewers that follow it (Mip-Splatting's mode: PlayCanvas, SuperSplat, Brush and others) then draw views in finer pixels
+    as smooth as the capture was, and views in coarser ones as faint.  Their own blur is 0.3, not BOX: small pictures are softer than ours.
     """
     if model.raster.antialiased:
         return model
-    variance = np.exp(2 * model.scale.astype(np.float64))
-    finest = captured.finest(model.position.astype(np.float64), np.sqrt(variance.max(1, initial=0)))
-    return replace(model, scale=0.5 * np.log(variance + model.raster.blur * finest[:, None] ** 2),
+    pixel = captured.usual(model.position.astype(np.float64))
+    variance = np.exp(2 * model.scale.astype(np.float64)) + max(model.raster.blur - BOX, 0.0) * pixel[:, None] ** 2
+    return replace(model, scale=0.5 * np.log(variance),
                    raster=replace(model.raster, antialiased=True), surroundings=replace(model.surroundings, cameras=()))
 
 

@@ -24,6 +24,8 @@ Gaussian, whose centre lies at the depth z_i and r_i away from the camera's axis
 which is its depth by its focal length where any of the splat may touch the picture (T_i: tangent from the axis to the farthest corner), and
 grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is the least of them, and never more than C.
 
+Files that hold no cameras have one pixel for all views (Sampling.usual()).
+
 R has the focal length of the cameras around the view, see Sampling.stood().  Orthographic views stand nowhere: their R is p, but at least F
 and at most C.
 """
@@ -88,12 +90,17 @@ class Sampling(NamedTuple):
         """F of Gaussians at positions [M, 3] with these largest standard deviations [M]."""
         found = self.coarsest(position)
         for camera in self.cameras:
-            away = position - camera[:3]
-            z = away @ camera[4:7]
-            r = np.sqrt(np.maximum((away**2).sum(1) - z**2, 0))
-            outside = np.maximum((r - self.reach * largest) * camera[7] - z, 0)
-            found = np.minimum(found, (np.abs(z) + STEEP * outside) * camera[3])
+            found = np.minimum(found, _pixel(camera, position, self.reach * largest)[0])
         return np.maximum(self.least, found)
+
+    def usual(self, position: np.ndarray) -> np.ndarray:
+        """One pixel [M] for all views of Gaussians at positions [M, 3]: the mean over the cameras that have the centre in their picture."""
+        total, weights, most = np.zeros(len(position)), np.full(len(position), 1e-30), self.coarsest(position)
+        for camera in self.cameras:
+            pixel, inside = _pixel(camera, position, 0.0)
+            weight = inside**2
+            total, weights = total + weight * np.minimum(pixel, most), weights + weight
+        return np.maximum(total / weights, self.least)
 
     def stood(self, place: np.ndarray, focal: float) -> float:
         """`zoom` of a view at a place [3] with a focal length in pixels: what is nearer counts more, so a camera has its own there alone.
@@ -123,6 +130,15 @@ class Sampling(NamedTuple):
 
 OFF = Sampling((0.0, 0.0, 0.0, 0.0), 0.0, 0.0, 0.0, 0.0, False, 1.0, np.zeros((0, 8)))
 """Nothing changes with the distance."""
+
+
+def _pixel(camera: np.ndarray, position: np.ndarray, radius: np.ndarray | float) -> tuple[np.ndarray, np.ndarray]:
+    """p_i [M] of a row of Sampling.cameras for balls at positions [M, 3], and what of it is depth by focal length: 1 in its picture."""
+    away = position - camera[:3]
+    z = away @ camera[4:7]
+    r = np.sqrt(np.maximum((away**2).sum(1) - z**2, 0))
+    size = np.abs(z) + STEEP * np.maximum((r - radius) * camera[7] - z, 0)
+    return size * camera[3], np.abs(z) / np.maximum(size, 1e-30)
 
 
 @lru_cache(maxsize=64)

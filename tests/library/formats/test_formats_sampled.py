@@ -30,13 +30,13 @@ def filmed(rng):
 
 @pytest.mark.parametrize("extension", [".ply", ".compressed.ply", ".spz", ".sog"])
 def test_files_that_can_say_so_hold_the_limit(filmed, tmp_path, extension):
-    """Each squared standard deviation grows by 0.3 pixels squared, a pixel being depth by focal length; places, opacities, shapes stay."""
+    """Each squared standard deviation grows by 0.2 pixels squared, a pixel being depth by focal length; places, opacities, shapes stay."""
     model, camera = filmed
     assert formats.says_antialiased(extension)
     seen, _ = as_seen([Instance(model, np.eye(4), 0.0)], antialiased=True)
     plain, _ = as_seen([Instance(model, np.eye(4), 0.0)])
     depth = model.position.astype(float) @ camera.world_to_camera[2, :3] + camera.world_to_camera[2, 3]
-    wanted = np.exp(2 * plain.scale.astype(float)) + 0.3 * (depth / FOCAL)[:, None] ** 2
+    wanted = np.exp(2 * plain.scale.astype(float)) + 0.2 * (depth / FOCAL)[:, None] ** 2
     np.testing.assert_allclose(np.exp(2 * seen.scale.astype(float)), wanted, rtol=1e-4)
     assert np.array_equal(seen.position, plain.position) and np.array_equal(seen.opacity, plain.opacity)
     path = tmp_path / f"m{extension}"
@@ -53,7 +53,20 @@ def test_close_ups_of_the_file_are_as_soft_as_those_of_the_model(filmed):
     seen, _ = as_seen([Instance(replace(model, axes="RFU"), np.eye(4), 0.0)], antialiased=True)
     wanted, got, plain = (fg.render(shown, near, backend="cpu")["rgb"]
                           for shown in (model, seen, replace(model, surroundings=Surroundings())))
-    assert np.abs(got - wanted).mean() < 0.2 * np.abs(plain - wanted).mean() > 0
+    assert np.abs(got - wanted).mean() < 0.3 * np.abs(plain - wanted).mean() > 0
+
+
+def test_the_limit_is_the_mean_over_the_cameras_that_have_a_gaussian_in_their_pictures(filmed):
+    """Not the nearest camera's: the farther ones shaped the Gaussians, too.  One that looks away has no say."""
+    model, _ = filmed
+    places = np.array([[0, -AWAY, 0], [0, 1.5 * AWAY, 0], [2 * AWAY, 0, 0], [0.0, 0, AWAY / 2]])
+    cameras = [fg.Camera(64, 48, FOCAL, FOCAL, 32, 24, look_at(place, place * aim, up=np.ones(3)))
+               for place, aim in zip(places, (0, 0, 0, 2), strict=True)]
+    model = replace(model, surroundings=Surroundings(cameras=tuple(map(viewpoint_of, cameras))))
+    seen, plain = (as_seen([Instance(model, np.eye(4), 0.0)], antialiased=said)[0] for said in (True, False))
+    added = np.exp(2 * seen.scale.astype(float)) - np.exp(2 * plain.scale.astype(float))
+    depth = np.mean([model.position @ c.world_to_camera[2, :3] + c.world_to_camera[2, 3] for c in cameras[:3]], axis=0)
+    np.testing.assert_allclose(np.sqrt(added / 0.2), (depth / FOCAL)[:, None].repeat(3, 1), rtol=0.02)
 
 
 def test_what_is_not_known_or_not_wanted_stays(filmed, rng):
@@ -64,5 +77,5 @@ def test_what_is_not_known_or_not_wanted_stays(filmed, rng):
         one, other = as_seen(instances, antialiased=True)[0], as_seen(instances)[0]
         assert np.array_equal(one.scale, other.scale) and not one.raster.antialiased
     asked = as_seen([Instance(unknown, np.eye(4), 0.0, ObjectSettings(pixel_size=0.1))], antialiased=True)[0]
-    np.testing.assert_allclose(np.exp(2 * asked.scale.astype(float)), np.exp(2 * unknown.scale.astype(float)) + 0.3 * 0.01, rtol=1e-4)
+    np.testing.assert_allclose(np.exp(2 * asked.scale.astype(float)), np.exp(2 * unknown.scale.astype(float)) + 0.2 * 0.01, rtol=1e-4)
     assert not any(map(formats.says_antialiased, (".splat", ".glb", ".usdc")))
