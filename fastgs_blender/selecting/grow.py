@@ -35,6 +35,9 @@ SEEN = 128
 """The most Gaussians of a stroke that colours are compared with; a colour is the stroke's if three of them have it."""
 BORDERS, TRIED = (0.003, 0.7), 161
 """Shares of the strokes' mean potential between which the border is looked for, and how many are tried."""
+HELD = 0.7
+"""The share of a stroke's Gaussians that the border must leave in the thing, where there is such a border: a few that hardly hang on the
+rest make the weakest cut of all."""
 FREE = 3e-5
 """The share of joins within a border below which a weaker cut is no better.  A border of half the height has to cut half as much: of
 equally weak joins, the first ones end the thing."""
@@ -85,6 +88,8 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, re
     alone = y > _reached(BORDER_ALONE * float(y[yes].mean()), reach, float(y[yes].mean()))
     y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, order)
     borders, ratio = _cuts(y, float(y[yes].mean()), found.ends, weight, degree)
+    if held := np.searchsorted(borders, np.quantile(y[yes], 1 - HELD)):  # higher ones leave out too much of the stroke
+        ratio[held:] = np.inf
     best = np.argmin((ratio + FREE) / np.geomspace(*BORDERS, TRIED))
     thing, may = y > _reached(borders[best], reach, float(y[yes].mean())), y > borders[0]
     if not against:

@@ -16,9 +16,10 @@ COUNT = 8
 """Neighbours of a Gaussian at a moment."""
 ALIVE = 0.05
 """Opacity from which on a Gaussian counts at a moment."""
-STRETCH, TINT = 0.15, 0.04
-"""Differences that count as none: a change of distance by the usual distance of neighbours, and a distance of colours.  In a model whose
-neighbours differ more than that, it is twice their median."""
+STRETCH, TINT = 0.15, (0.04, 0.1)
+"""Differences that count as none: a change of distance by the usual distance of neighbours, and a distance of colours (0..1).  In a model
+whose neighbours differ more than that, it is twice their median; of colours at most the second: hidden Gaussians and fine patterns differ
+much in trained models, and a red ball still ends at a white wall."""
 DRIFT = (0.03, 0.1)
 """What counts as no change of distance, too: this share, at least and at most, of how far the two travel.  In trained models the Gaussians
 of a thing drift apart, the more the farther it goes."""
@@ -83,8 +84,8 @@ def joins(model: GaussianModel) -> Joins:
     distances(np.stack(ends, 1), place.transpose(1, 0, 2).copy(), alive.T.copy(), low, high)
     usual /= np.maximum(weight, 1)
     unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
-    colour = base_colours(model)
-    drift = _unusual((high - low) / unit, STRETCH, MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
+    colour = np.clip(base_colours(model), 0, 1)  # what is brighter looks white all the same
+    drift = _unusual((high - low) / unit, (STRETCH, np.inf), MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
     tint = _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT)
     return Joins(np.stack(ends, 1).astype(np.int32), *(each.astype(np.float32) for each in (low / unit, drift, tint)))
 
@@ -98,5 +99,6 @@ def _drift(place: np.ndarray, alive: np.ndarray, ends: tuple, change: np.ndarray
     return travel * np.clip(FIRM * np.quantile((change / unit / travel)[far], 0.25) if far.any() else 0, *DRIFT)
 
 
-def _unusual(value: np.ndarray, least: float, most: float, besides: float | np.ndarray = 0.0) -> np.ndarray:
-    return np.minimum(0.5 * (value / (max(least, 2 * float(np.median(value)) if len(value) else 0.0) + besides)) ** 2, most)
+def _unusual(value: np.ndarray, unit: tuple[float, float], most: float, besides: float | np.ndarray = 0.0) -> np.ndarray:
+    usual = np.clip(2 * float(np.median(value)) if len(value) else 0.0, *unit)
+    return np.minimum(0.5 * (value / (usual + besides)) ** 2, most)

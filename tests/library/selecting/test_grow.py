@@ -83,6 +83,16 @@ def test_what_stands_still_is_told_by_colour():
     assert np.mean(grow(grey, yes, no) == scene.truth) < 0.99
 
 
+@pytest.mark.parametrize(("name", "share"), [("cloths", 0.99), ("still life", 0.95)])
+def test_colours_tell_things_apart_though_neighbours_differ(name, share):
+    """As in trained models, whose hidden Gaussians have any colour."""
+    scene = made(name)
+    yes, no = scenes.strokes(scene.model, scene)
+    noise = 0.2 * np.random.default_rng(0).normal(size=scene.model.features.shape)
+    model = dataclasses.replace(scene.model, features=(scene.model.features + noise).astype(np.float32))
+    assert np.mean(grow(model, yes, no) == scene.truth) > share
+
+
 def test_a_few_wrong_gaussians_of_a_stroke_are_outvoted():
     scene = made("ball and box")
     yes, no = scenes.strokes(scene.model, scene)
