@@ -51,8 +51,8 @@ def run(inspection: Inspection) -> Section:
     pace, views = costs.measured_pace(pixels), len(inspection.capture.training_views)
     for preset in LENGTHS:
         used = costs.trained_pixels(preset, pixels, float(inspection.scaled))
-        run = costs.size_of(preset, pixels=moment * used / max(pixels, 1), frames=capture.clip.frame_count)
-        seconds, needed = costs.estimate(used, *run, len(capture), views, pace)
+        length = costs.size_of(preset, pixels=moment * used / max(pixels, 1), frames=capture.clip.frame_count)
+        seconds, needed = costs.estimate(used, *length, len(capture), views, pace)
         rows[preset] = {"minutes": round(seconds / 60, 1), "memory_gb": round(needed / 1e9, 2)}
         if memory is not None and preset == "standard" and needed > memory:
             section.add("poor", f"Training with the preset {preset} takes about {needed / 1e9:.1f} GB of memory, and {memory / 1e9:.1f} "
