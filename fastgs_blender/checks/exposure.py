@@ -116,9 +116,9 @@ def _farthest(gains: Iterable[float]) -> float:
 def _dark(section: Section, inspection: Inspection) -> None:
     dark, burnt = {}, {}
     for view, samples in inspection.samples.items():
-        light = [np.median(sample.rgb.mean(2)) / 255 for sample in samples]
-        dark[view] = float(np.median(light))
-        burnt[view] = float(np.mean([(sample.rgb.min(2) >= 255 * BURNT).mean() for sample in samples]))
+        shown = [sample.rgb[... if sample.valid is None or not sample.valid.any() else sample.valid].reshape(-1, 3) for sample in samples]
+        dark[view] = float(np.median([np.median(rgb.mean(1)) / 255 for rgb in shown]))
+        burnt[view] = float(np.mean([(rgb.min(1) >= 255 * BURNT).mean() for rgb in shown]))
     if gloomy := [view for view, value in dark.items() if value < DARK]:
         section.add("poor", f"{listed(gloomy)} {'is' if len(gloomy) == 1 else 'are'} dark: half of the picture is below "
                     f"{max(dark[v] for v in gloomy):.0%} of white, where noise and compression hide details.", "Add light rather than "
@@ -127,6 +127,9 @@ def _dark(section: Section, inspection: Inspection) -> None:
         section.add("poor" if len(flat) < len(burnt) else "note", f"{listed(flat)} {'is' if len(flat) == 1 else 'are'} burnt out in "
                     f"{max(burnt[v] for v in flat):.0%} of the picture: nothing is known of what is there.", "Lower the exposure when "
                     "filming; a white background is no fault.", flat, ("burnt share", round(max(burnt[v] for v in flat), 3), ""))
+    if inspection.plain:
+        section.add("note", "All cameras film their subject before a plain background, which training cuts out.",
+                    "To keep the background, train with --masks off.")
     section.measures |= {"median_brightness": {v: round(x, 4) for v, x in dark.items()},
                          "burnt_share": {v: round(x, 4) for v, x in burnt.items()}}
 

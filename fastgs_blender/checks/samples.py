@@ -9,7 +9,10 @@ import numpy as np
 from ..cameras.camera import Camera
 from ..captures.capture import Capture, Shot, by_view
 from ..captures.pixels import decoding, undistortion
-from ..training.core.targets import small_camera, smaller
+from ..captures.pixels.plain import background
+from ..captures.pixels.probe import facts
+from ..captures.pixels.store import LOOKS
+from ..training.core.targets import WHOLE, small_camera, smaller
 from ..training.initial.dense import spread
 from ..util.errors import FastGSError
 from . import blur
@@ -29,7 +32,7 @@ class Sample:
 
     rgb      [h, w, 3] uint8, display sRGB, with its longer side at most SIDE
     camera   of that size; None in a capture without poses
-    valid    [h, w] bool, False where the lens has no picture, or the picture is transparent; None: it counts everywhere
+    valid    [h, w] bool, False where the lens has no picture, or the picture is cut out; None: it counts everywhere
     shrunk   by how much the picture was shrunk
     blur     Gaussian blur in pixels of the picture as it is trained on, NaN where it has no texture
     """
@@ -49,6 +52,7 @@ class Inspection:
     progress(stage, share) is called while something takes long, share in 0..1
     scaled        whether a scale of the pictures was asked for, which a draft keeps then
     samples       by view, ordered by time
+    plain         whether they show a plain background, which training cuts out (captures/pixels/plain.py)
     """
 
     capture: Capture
@@ -56,6 +60,7 @@ class Inspection:
     scaled: bool = False
     samples: dict[str, list[Sample]] = field(default_factory=dict)
     unreadable: list[str] = field(default_factory=list)
+    plain: bool = False
 
     @property
     def views(self) -> list[str]:
@@ -129,6 +134,7 @@ def sample(inspection: Inspection) -> None:
             inspection.samples[shot.view].append(_sample(shot, found))
     inspection.samples = {view: sorted(samples, key=lambda sample: sample.shot.frame)
                           for view, samples in inspection.samples.items() if samples}
+    _cut_out(inspection)
     if not inspection.samples:
         raise FastGSError(f"{capture.path}: none of its pictures can be read: "
                           f"{inspection.unreadable[0] if inspection.unreadable else 'none is there.'}")
@@ -137,6 +143,20 @@ def sample(inspection: Inspection) -> None:
 def reduction_of(height: int, width: int) -> int:
     """The whole factor by which a picture of that size is shrunk."""
     return max(1, -(-max(height, width) // SIDE))
+
+
+def _cut_out(inspection: Inspection) -> None:
+    """Samples before a plain background are valid where something stands before it."""
+    samples = [sample for each in inspection.samples.values() for sample in each]
+    some = spread([sample for sample in samples if not facts(sample.shot.image).alpha], LOOKS)
+    found = background([sample.rgb / np.float32(255) for sample in some], [sample.valid for sample in some]) if some else None
+    if found is None:
+        return
+    inspection.plain = True
+    for view, each in inspection.samples.items():
+        shown = [found.cut_out(sample.rgb / np.float32(255))[1] > WHOLE for sample in each]
+        inspection.samples[view] = [replace(sample, valid=seen if sample.valid is None else seen & sample.valid)
+                                    for sample, seen in zip(each, shown)]
 
 
 def _near(shots: list[Shot], frames: list[int]) -> list[Shot]:

@@ -6,7 +6,7 @@ from functools import cached_property
 import numpy as np
 
 from ..cameras.camera import Camera
-from ..training.initial.dense import depth_range
+from ..training.initial.geometry import depth_range
 from ..util.errors import FastGSError
 from .samples import Inspection
 

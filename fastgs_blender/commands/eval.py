@@ -77,7 +77,7 @@ def run(args: argparse.Namespace) -> None:
     backend = chosen_backend(args)  # last: the first time a GPU is tested, which takes a moment
     load_backend(backend)  # or it says that there is none
     make_folder(out, "results")
-    store = FrameStore(capture, 0)
+    store = FrameStore(capture, 0, whole=known is not None and known.whole)
     try:
         with progress(len(store.missing(shots)), "frame", "decoding", quiet=args.quiet) as bar:
             store.fill(bar.to, shots)

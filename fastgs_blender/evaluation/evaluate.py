@@ -67,7 +67,7 @@ def evaluate(model: GaussianModel, capture: Capture, store: FrameStore | None = 
     store = store if store is None or capture is given else store.of(capture)
     shots = chosen(capture, views, frames, known)
     if store is None:
-        store = FrameStore(capture, 0)
+        store = FrameStore(capture, 0, whole=known is not None and known.whole)
         store.fill(shots=shots)
     turns = {view: np.radians(turn) for view, turn in differed.get("poses", {}).items()}
     clock, notes = _clock(model, capture, beyond=frames is not None)

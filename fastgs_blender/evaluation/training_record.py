@@ -9,15 +9,17 @@ from ..model.sequence import Source
 from ..util.reading import parse_json
 
 KEY = "trained_on"
-"""The entry of a model's provenance, JSON: {"views": [names], "scale": factor on the pictures' size}."""
+"""The entry of a model's provenance, JSON: {"views": [names], "scale": factor on the pictures' size, "whole": see TrainingRecord}."""
 
 
 @dataclass(frozen=True)
 class TrainingRecord:
-    """The views that a model was trained on, and the scale of their pictures.  Its frames are those of the model's own clip."""
+    """The views that a model was trained on, the scale of their pictures, and whether it shows a plain background that they have
+    (captures/pixels/plain.py).  Its frames are those of the model's own clip."""
 
     views: frozenset[str]
     scale: float
+    whole: bool = False
 
     def saw(self, view: str, frame: float, frame_count: int) -> bool:
         """Whether the picture of a view at a frame of the model's clip (counted from 0, fractions lie between frames) was trained on."""
@@ -95,9 +97,9 @@ def sentence(found: dict) -> str:
     return "; ".join(parts)
 
 
-def record(capture: Capture) -> dict[str, str]:
-    """The provenance entry of a model that is trained on a capture."""
-    return {KEY: json.dumps({"views": capture.training_views, "scale": capture.scale})}
+def record(capture: Capture, whole: bool) -> dict[str, str]:
+    """The provenance entry of a model that is trained on a capture; whole: see TrainingRecord."""
+    return {KEY: json.dumps({"views": capture.training_views, "scale": capture.scale, **({"whole": True} if whole else {})})}
 
 
 def recorded(model: GaussianModel) -> TrainingRecord | None:
@@ -108,4 +110,4 @@ def recorded(model: GaussianModel) -> TrainingRecord | None:
     except (KeyError, TypeError, ValueError):
         return None
     usable = isinstance(views, list) and all(isinstance(name, str) for name in views) and 0 < scale <= 1
-    return TrainingRecord(frozenset(views), scale) if usable else None
+    return TrainingRecord(frozenset(views), scale, values.get("whole") is True) if usable else None

@@ -49,6 +49,8 @@ def toy_cameras(views: int) -> list[fg.Camera]:
 class MemoryStore:
     """The pixels of shots, by view and frame; with mask: straight colour, and the picture's alpha as mask."""
 
+    plain, whole = None, False
+
     def __init__(self, model, shots, mask=False):
         self.pictures = {}
         for shot in shots:

@@ -16,6 +16,7 @@ import threading
 from collections import OrderedDict
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from weakref import WeakKeyDictionary
 
@@ -23,8 +24,8 @@ import numpy as np
 
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
-from ..capture import Capture, Shot
-from . import bounds, decoding, framefiles, undistortion
+from ..capture import Capture, Shot, by_view
+from . import bounds, decoding, framefiles, plain, undistortion
 from .checks import sentence
 from .filling import fill
 from .probe import facts
@@ -32,6 +33,8 @@ from .probe import facts
 RESERVE = 256 * 2**20
 """Bytes that are left free on the cache's disk."""
 MOST_THREADS = 8
+LOOKS = 24
+"""Pictures of a capture in which a plain background is looked for."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -54,12 +57,14 @@ class FrameStore:
     """The pixels of a capture's shots.  Safe to use from several threads.
 
     budget  bytes of pixels held in memory at most; one decoded picture a thread comes on top while the cache is filled
+    whole   keep pictures before a plain background (plain.py) as they are: else what stands before it is cut out, and `plain` is that
+            background, or None where there is none
     folder  where the cache lies; None: framefiles.default_folder(), where it shares a bounded space with other captures (bounds.py)
     beyond  shots for which fill() found no room there: they are decoded whenever they are needed
     """
 
-    def __init__(self, capture: Capture, budget: int = 2**30, folder: Path | None = None) -> None:
-        self.capture, self.budget = capture, int(budget)
+    def __init__(self, capture: Capture, budget: int = 2**30, folder: Path | None = None, whole: bool = False) -> None:
+        self.capture, self.budget, self.whole = capture, int(budget), whole
         self.folder = Path(folder) if folder is not None else framefiles.default_folder(capture)
         self._held: OrderedDict[Path, np.ndarray] = OrderedDict()
         self.held_bytes = 0
@@ -79,7 +84,7 @@ class FrameStore:
 
     def of(self, capture: Capture) -> FrameStore:
         """A store of the same pictures by another description of the capture, such as other cameras."""
-        return FrameStore(capture, self.budget, None if self._bounded else self.folder)
+        return FrameStore(capture, self.budget, None if self._bounded else self.folder, self.whole)
 
     def size(self, shot: Shot) -> tuple[int, int]:
         """Width and height of a shot's pixels."""
@@ -124,21 +129,34 @@ class FrameStore:
     def pixels(self, shot: Shot) -> Pixels:
         """The pixels of a shot, decoded now if they are not in the cache; the arrays are the caller's.  Raises FastGSError."""
         stored = self.stored(shot)
-        most = np.float32(255 if stored.dtype == np.uint8 else 65535)
-        rgb = stored[..., :3] / most
-        mask, alpha = (stored[..., k] / most if stored.shape[2] > k else None for k in (3, 4))
-        return Pixels(rgb, mask, self._valid_of(shot), alpha, stored[..., :3] if stored.dtype == np.uint8 else None)
+        rgb, mask, alpha = _planes(stored)
+        valid = self._valid_of(shot)
+        if self.plain is None or mask is None:
+            return Pixels(rgb, mask, valid, alpha, stored[..., :3] if stored.dtype == np.uint8 else None)
+        tells = self.plain.tells(rgb, mask if alpha is None else alpha)
+        return Pixels(rgb, mask, tells if valid is None else tells & valid, alpha)
+
+    @cached_property
+    def plain(self) -> plain.Plain | None:
+        """The plain background of all pictures, as some of them show."""
+        if self.whole or any(facts(shots[0].image).alpha for shots in by_view(self.capture.shots).values()):
+            return None
+        some = [self.capture.shots[k] for k in np.unique(np.linspace(0, len(self.capture.shots) - 1, LOOKS).round().astype(int))]
+        with contextlib.suppress(FastGSError):  # whoever asks for a damaged picture is told
+            self.fill(shots=some)
+        some = [shot for shot in some if self._is_there(shot)]
+        return plain.background([_planes(self._read(shot))[0] for shot in some], [self._valid_of(shot) for shot in some])
 
     def stored(self, shot: Shot) -> np.ndarray:
-        """The pixels [h, w, 3 to 5] as they are kept: uint8 or uint16, not to be written to."""
+        """The pixels [h, w, 3 to 5] as they are kept in memory: uint8 or uint16, not to be written to."""
         path = self._path(shot)
         with self._lock:
             if path in self._held:
                 self._held.move_to_end(path)
                 return self._held[path]
-        array = framefiles.read(path, decoding.shape(shot, self.capture.scale), _kind(shot))
-        if array is None:
-            array = self._decode_now(shot)
+        array = self._read(shot)
+        if self.plain is not None:
+            array = _cut_out(array, self.plain)
         array.flags.writeable = False
         with self._lock:
             if array.nbytes <= self.budget and path not in self._held:
@@ -147,6 +165,11 @@ class FrameStore:
                 while self.held_bytes > self.budget:
                     self.held_bytes -= self._held.popitem(last=False)[1].nbytes
         return array
+
+    def _read(self, shot: Shot) -> np.ndarray:
+        """The pixels [h, w, 3 to 5] of a shot as they are cached on disk, decoded now if they are not there."""
+        found = framefiles.read(self._path(shot), decoding.shape(shot, self.capture.scale), _kind(shot))
+        return self._decode_now(shot) if found is None else found
 
     def _decode_now(self, shot: Shot) -> np.ndarray:
         """A shot's pixels from its files, kept in the cache as well where there is room."""
@@ -230,6 +253,25 @@ class FrameStore:
 def _bytes(count: int) -> str:
     """Bytes as a text, rounded up to a tenth of a gigabyte or to a megabyte."""
     return f"{math.ceil(count / 1e8) / 10:.1f} GB" if count >= 1e9 else f"{math.ceil(count / 1e6)} MB"
+
+
+def _planes(stored: np.ndarray) -> tuple[np.ndarray, np.ndarray | None, np.ndarray | None]:
+    """The colours [h, w, 3], mask and alpha [h, w] of stored pixels, as float32 in 0..1."""
+    most = np.float32(_most(stored.dtype))
+    mask, alpha = (stored[..., k] / most if stored.shape[2] > k else None for k in (3, 4))
+    return stored[..., :3] / most, mask, alpha
+
+
+def _cut_out(stored: np.ndarray, background: plain.Plain) -> np.ndarray:
+    """Stored pixels without alpha as they would be with the alpha of what stands before a plain background."""
+    rgb, mask, _ = _planes(stored)
+    rgb, share = background.cut_out(rgb)
+    planes = [rgb, *(each[..., None] for each in ([share] if mask is None else [mask * share, share]))]
+    return (np.concatenate(planes, -1) * _most(stored.dtype) + 0.5).astype(stored.dtype)
+
+
+def _most(kind: np.dtype) -> int:
+    return 255 if kind == np.uint8 else 65535
 
 
 def _kind(shot: Shot) -> type[np.integer]:

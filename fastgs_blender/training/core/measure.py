@@ -28,11 +28,11 @@ def measure(model: Source, capture: Capture, store: Any, settings: Settings, sho
         pixels = store.pixels(shot)
         picture = render(model, shot.camera, shot.t, ("rgb",), backend)["rgb"]
         cover = cover_of(use_of_mask(settings, capture, shot, pixels.mask), pixels)
-        truth = pixels.rgb if cover is None else pixels.rgb * cover[..., None]
+        truth, mask = pixels.rgb if cover is None else pixels.rgb * cover[..., None], pixels.mask
         picture = halves.fitted(picture, truth, pixels.valid) if fit_colours else picture
-        whole.append(psnr(picture, truth))
-        if pixels.mask is not None:
-            part.append(psnr(picture, truth, pixels.mask))
+        whole.append(psnr(picture, truth, pixels.valid))
+        if mask is not None:
+            part.append(psnr(picture, truth, mask if pixels.valid is None else mask * pixels.valid))
         if pictures is not None:
             pictures.append((picture, truth))
         progress(len(whole), len(capture.held_out))

@@ -1,6 +1,6 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""Starting points over space and time from the pictures: triangulated features bound the scene, plane sweeps add its surfaces, once more
-along large planes.
+"""Starting points over space and time from the pictures: triangulated features bound the scene, or the outlines of a subject that is cut
+out; plane sweeps add its surfaces, once more along large planes.
 
 Points that look the same at other moments belong to all times; all others carry the moment at which they were found, and a velocity.
 """
@@ -23,9 +23,10 @@ from ..core.moving_pixels import stands
 from ..core.schedule import POINTS, generator
 from ..core.targets import cover_of, small_camera, smaller, use_of_mask
 from . import features, planes, still, sweep
-from .geometry import project, sample, visible
+from .geometry import depth_range, project, sample, visible
 from .neighbours import neighbour_distance
 from .velocity import in_motion
+from .visual_hull import VisualHull
 
 SMALLEST_SIDE = 640
 """Features are looked for in pictures of this size at least, where the files have them: in smaller ones there are few."""
@@ -53,7 +54,7 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
     """At most settings.init_points points, a clause about them, and the store with colours in which cameras agree on them; calls
     progress(done, of) for parts of about the same length: features of moments, and their surfaces that are found, compared and followed.
 
-    Raises FastGSError where the pictures give too few features.
+    Raises FastGSError where the pictures give too few features, and no outlines.
     """
     moments = chosen_moments(capture)
     some = spread(moments, FEATURE_MOMENTS)
@@ -68,13 +69,20 @@ def triangulated(capture: Capture, store: Any, settings: Settings,
         progress(done, of)
 
     progress(0, of)
-    found, store = _features(capture, store, settings, some, lambda: tick(slow))
-    how = f"{len(found)} features triangulated"
+    found, corrected = _features(capture, store, settings, some, lambda: tick(slow))
+    how, bounds = f"{len(found)} features triangulated", found.xyz
+    if len(found) < FEW * len(some):
+        how, bounds = "outlines of the subject", _within_outlines(capture, store, settings, some)
+        if len(bounds) < FEW:
+            raise FastGSError(f"{capture.path}: only {len(found)} features could be triangulated at {len(some)} moments.")
+        found = found.take(slice(0))
+    else:
+        store = corrected
     if found.t is None or not np.isfinite(found.t).all():
         return evenly(found, settings.init_points), how, store
     side = sweep_side(max(map(len, moments)))
     pictures = [[picture(capture, store, settings, shot, side) for shot in shots] for shots in moments]
-    near, far = depths_of(found.xyz, capture)
+    near, far = depths_of(bounds, capture)
     few = few_cameras(moments)
     centres = capture.centres() if few else None
     depths = []
@@ -151,12 +159,18 @@ def _features(capture: Capture, store: Any, settings: Settings, moments: list[li
         clouds.append(Points(xyz, np.zeros((len(xyz), 3)), np.full(len(xyz), moment)))
         tick()
     points = joined(clouds)
-    if len(points) < FEW * len(moments):
-        raise FastGSError(f"{capture.path}: only {len(points)} features could be triangulated at {len(moments)} moments.")
     _look_from_elsewhere(capture, store, settings, moments, points, np.array(toward), looks)
     response = response_of(capture, settings, looks)
     rgb = np.array([np.mean([response.in_model_colours(*pair) for pair in each.items()], 0) for each in looks]).reshape(-1, 3)
     return Points(points.xyz, rgb, points.t), CorrectedStore(store, response)
+
+
+def _within_outlines(capture: Capture, store: Any, settings: Settings, moments: list[list[Shot]]) -> np.ndarray:
+    """Places [P, 3] that lie within a subject's outlines in all pictures of a moment; none where pictures are not cut out."""
+    if any(shown_part(capture, settings, shot, store.pixels(shot)) is None for shot in moments[0]):
+        return np.zeros((0, 3))
+    hull = VisualHull(capture, store)
+    return np.concatenate([hull.cells(shots[0].frame) for shots in moments])
 
 
 def response_of(capture: Capture, settings: Settings, looks: list[dict[str, np.ndarray]]) -> CameraResponse:
@@ -283,14 +297,6 @@ def shown_part(capture: Capture, settings: Settings, shot: Shot, pixels: Pixels)
     if use == "around" and pixels.mask is not None:
         return 1 - pixels.mask
     return pixels.mask if use == "only" else cover_of(use, pixels)
-
-
-def depth_range(capture: Capture) -> tuple[float, float]:
-    """Nearest and farthest depth of the scene if no points are known: around the point at which the cameras look together."""
-    centres = capture.centres()
-    distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
-    distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
-    return 0.3 * distance, 4 * distance
 
 
 def depths_of(xyz: np.ndarray, capture: Capture) -> tuple[float, float]:

@@ -3,6 +3,7 @@
 import numpy as np
 
 from ...cameras.camera import Camera
+from ...captures.capture import Capture
 from ...util.backends import load_backend
 
 
@@ -32,3 +33,11 @@ def sample(image: np.ndarray, places: np.ndarray) -> np.ndarray:
     """Values [n, C] of an image [h, w, C] at the pixels nearest to places [n, 2]."""
     column, row = (np.clip(places[:, k].astype(int), 0, image.shape[1 - k] - 1) for k in (0, 1))
     return image[row, column]
+
+
+def depth_range(capture: Capture) -> tuple[float, float]:
+    """Nearest and farthest depth of the scene if no points are known: around the point at which the cameras look together."""
+    centres = capture.centres()
+    distance = float(np.median(np.linalg.norm(centres - capture.focus, axis=1)))
+    distance = distance if distance > 0.2 * capture.extent else 3 * capture.extent
+    return 0.3 * distance, 4 * distance

@@ -108,7 +108,7 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
         better, before, after, used = compared(rig, tracks)
         if settings.poses == "auto" and len(tracks) >= CERTAIN and before - after < BY / 2:
             break
-    if len(tracks) < ENOUGH:
+    if len(tracks) < ENOUGH or np.isnan(before):
         say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
         return NOTHING
     if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):

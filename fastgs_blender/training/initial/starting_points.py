@@ -13,8 +13,8 @@ from ...captures.capture import Capture, Points
 from ...util.errors import FastGSError
 from ..core.schedule import POINTS, generator
 from ..core.settings import Settings
-from .dense import FEW, depth_range, joined, picture, spread, triangulated
-from .geometry import sample, unproject, visible
+from .dense import FEW, joined, picture, spread, triangulated
+from .geometry import depth_range, sample, unproject, visible
 
 SOURCES = {"triangulate": "triangulated features", "file": "the layout's point file", "random": "random points"}
 

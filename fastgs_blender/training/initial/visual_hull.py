@@ -15,10 +15,10 @@ import numpy as np
 
 from ...cameras.camera import Camera
 from ...captures.capture import Capture, Shot, by_view
+from ...captures.pixels.plain import grown
 from ..core.moving_pixels import MovingPixels, stands
 from ..core.targets import smaller
-from .dense import depth_range
-from .geometry import project, sample, visible
+from .geometry import depth_range, project, sample, visible
 
 CELLS = 72
 """Cells of the volume along each side."""
@@ -100,13 +100,6 @@ class VisualHull:
         for x, y, sign in ((low, low, 1), (high, low, -1), (low, high, -1), (high, high, 1)):
             np.add.at(corners, (y[:, 1], x[:, 0]), sign)
         return corners.cumsum(0).cumsum(1)[:-1, :-1] > 0
-
-
-def grown(mask: np.ndarray) -> np.ndarray:
-    """The pixels [h, w] bool of a mask, and those beside them."""
-    wide = np.pad(mask, 1)
-    wide = wide[1:-1] | wide[:-2] | wide[2:]
-    return wide[:, 1:-1] | wide[:, :-2] | wide[:, 2:]
 
 
 def _seen(camera: Camera, grid: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

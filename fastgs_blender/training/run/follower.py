@@ -28,8 +28,9 @@ def _trainer(message: dict, processes: Several, device: str | None) -> Trainer:
     """The trainer of one segment, as the first process describes it (session.py)."""
     plan = plan_from_dict(message["plan"])
     capture = plan.source.open()
-    capture = refined(with_poses(capture, FrameStore(capture, MEMORY), message["out"]), message["cameras"])
-    store, capture = FrameStore(capture, MEMORY), capture.part(*message["span"])
+    store = FrameStore(capture, MEMORY, whole=plan.settings.masks == "off")
+    capture = refined(with_poses(capture, store, message["out"]), message["cameras"])
+    store, capture = store.of(capture), capture.part(*message["span"])
     store.fill(shots=capture.shots)  # of another machine, whose cache nobody has filled
     backend = choose_device(device)[0]
     settings = plan.settings.of_segment(message["number"])

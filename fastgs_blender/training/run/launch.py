@@ -101,8 +101,8 @@ def launch(source: Source, out: str | Path, wanted: Mapping[str, Any], resume: b
             backend = "cpu" if backend == "auto" else backend
             seconds = _seconds(capture, plan.settings) if backend == "cpu" and not resume else 0.0
             with estimated("training", seconds, note):
-                return session.run(capture, FrameStore(capture, session.MEMORY), plan, out, quiet=quiet, processes=processes,
-                                   backend=backend, forecast=seconds)
+                store = FrameStore(capture, session.MEMORY, whole=plan.settings.masks == "off")
+                return session.run(capture, store, plan, out, quiet=quiet, processes=processes, backend=backend, forecast=seconds)
         finally:
             release(out)
 

@@ -119,7 +119,7 @@ class _Session:
         corrections |= {"cameras": self.cameras} if self.cameras else {}
         about = {"trainer": generator(), "capture": Path(capture.path).name, "layout": capture.layout,
                  "iterations": str(settings.iterations), "settings": json.dumps(settings.to_dict(), allow_nan=False),
-                 **training_record.record(capture), **training_record.corrections_entry(corrections)}
+                 **training_record.record(capture, store.whole), **training_record.corrections_entry(corrections)}
         model = joined_clip(self._finished, cuts, capture.clip, about) if only is None else replace(first, provenance=about)
         return self._finish(model, capture, store, cuts)
 
@@ -139,6 +139,8 @@ class _Session:
             return None
         part = capture if len(cuts) == 1 else capture.part(cuts[number].first, cuts[number].count)
         self.reporter.fill(store, part.shots)
+        if store.plain is not None and not number:
+            self.reporter.say("what stands before the pictures' plain background is cut out; --masks off keeps the background")
         earlier = capture.part(cuts[number - 1].first, cuts[number - 1].count) if number else None
         try:
             model = self._trained(part, store, cuts, folder, number, backend, earlier)

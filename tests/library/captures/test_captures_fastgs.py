@@ -68,7 +68,7 @@ def test_films_that_are_not_beside_the_description_are_told(tmp_path):
 def test_half_size_is_the_mean_of_four_pixels(capture_folder, tmp_path_factory):
     capture = open_capture(capture_folder, scale=0.5)
     RIG.check(capture, tmp_path_factory.mktemp("cache"), NAMES)
-    store = FrameStore(capture, folder=tmp_path_factory.mktemp("cache"))
+    store = FrameStore(capture, folder=tmp_path_factory.mktemp("cache"), whole=True)
     for shot in capture.shots[::4]:
         exact = RIG.picture(NAMES.index(shot.view), shot.frame).reshape(60, 2, 80, 2, 3).mean((1, 3))
         assert np.abs(store.pixels(shot).rgb * 255 - exact).max() <= 0.5001
