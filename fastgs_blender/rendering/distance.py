@@ -26,7 +26,7 @@ grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is th
 
 Files that hold no cameras have one pixel for all views (Sampling.usual()).
 
-R has the focal length of the cameras around the view, see Sampling.stood().  Orthographic views stand nowhere: their R is p, but at least F
+R has the focal length of the cameras around the view, see Sampling.zoom_at().  Orthographic views stand nowhere: their R is p, but at least F
 and at most C.
 """
 from functools import lru_cache
@@ -102,7 +102,7 @@ class Sampling(NamedTuple):
             total, weights = total + weight * np.minimum(pixel, most), weights + weight
         return np.maximum(total / weights, self.least)
 
-    def stood(self, place: np.ndarray, focal: float) -> float:
+    def zoom_at(self, place: np.ndarray, focal: float) -> float:
         """`zoom` of a view at a place [3] with a focal length in pixels: what is nearer counts more, so a camera has its own there alone.
 
         The mean of 1 / f_i by the fourth power of nearness, of which lenses unlike the view's take a little, for cameras in one place.

@@ -271,7 +271,7 @@ class ViewedInstance(Instance):
         if not captured.known or not size > 0:
             return OFF
         focal = float(np.sqrt(abs(self.camera.fx * self.camera.fy)))
-        zoom = 1.0 if self.camera.orthographic else captured.stood(self.camera_to_model[:3, 3], focal)
+        zoom = 1.0 if self.camera.orthographic else captured.zoom_at(self.camera_to_model[:3, 3], focal)
         return captured._replace(pixel=1 / (focal * size), zoom=zoom)
 
     @cached_property

@@ -29,7 +29,7 @@ export function viewed(instance, kinds, camera, toCamera) {
   const scale = Math.cbrt(Math.abs(determinant(instance.place))), { sampling, backdrop } = instance;
   const known = sampling && scale > 0;
   const focal = Math.sqrt(Math.abs(camera.fx * camera.fy)), pixel = known ? 1 / (focal * scale) : 0;
-  const zoom = known && !camera.orthographic ? stood(sampling, [3, 7, 11].map((k) => toModel[k]), focal) : 1;
+  const zoom = known && !camera.orthographic ? zoomAt(sampling, [3, 7, 11].map((k) => toModel[k]), focal) : 1;
   const inRange = rows.every((value) => Math.abs(value) <= LIMIT);
   return {
     ...instance, kinds, rows, toModel, near: Math.max(camera.near || 0, kinds.raster.near * scale),
@@ -38,8 +38,8 @@ export function viewed(instance, kinds, camera, toCamera) {
   };
 }
 
-/** Sampling.stood(). */
-function stood({ ball, cameras }, place, focal) {
+/** Sampling.zoom_at(). */
+function zoomAt({ ball, cameras }, place, focal) {
   let sum = 0, weights = 0;
   for (const camera of cameras) {
     const away = (Math.hypot(...place.map((x, k) => camera[k] - x)) / Math.max(ball[3], 1e-12)) ** 2;
