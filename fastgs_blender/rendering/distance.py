@@ -26,8 +26,8 @@ grows outside, so that nothing jumps where a Gaussian leaves a picture.  F is th
 
 Files that hold no cameras have one pixel for all views (Sampling.usual()).
 
-R has the focal length of the cameras around the view, see Sampling.zoom_at().  Orthographic views stand nowhere: their R is p, but at least F
-and at most C.
+R has the focal length of the cameras around the view, see Sampling.zoom_at().  Orthographic views stand nowhere: their R is p, but at least
+F and at most C.
 """
 from functools import lru_cache
 from typing import NamedTuple

@@ -33,24 +33,31 @@ def em_icp(start: np.ndarray, moving: np.ndarray, fixed: np.ndarray, scale: bool
     edge = 2 * size / COARSE
     motion = start
     a, b = _some(Cells.of(moved(moving, start), edge)), _some(Cells.of(fixed, edge))
-    unlike = ((a[:, None, 3:] - b[None, :, 3:]) ** 2).sum(2) / (2 * COLOUR**2)
+    y, middle = b[:, :3], b[:, :3].mean(0)
+    unlike = _squares(a[:, 3:], b[:, 3:], COLOUR)
     added = np.eye(4)
     for cloud in size * np.geomspace(first, LAST, STEPS):
         x = moved(a, added)[:, :3]
-        near = np.exp(-((x * x).sum(1)[:, None] + (b[:, :3] ** 2).sum(1) - 2 * x @ b[:, :3].T) / (2 * cloud**2) - unlike)
-        alone = ALONE * 2 * np.pi * (cloud / edge) ** 2 * 0.3 + 1e-9
-        weight = near / np.sqrt((near.sum(1, keepdims=True) + alone) * (near.sum(0) + alone))
-        rows, columns = weight.sum(1), weight.sum(0)
+        near = np.exp(-_squares(x - middle, y - middle, cloud) - unlike)
+        alone = np.float32(ALONE * 2 * np.pi * (cloud / edge) ** 2 * 0.3 + 1e-9)
+        one, other = (1 / np.sqrt(near.sum(axis) + alone) for axis in (1, 0))  # a pair's weight is near * one * other
+        rows, columns = one * (near @ other), other * (one @ near)
         total = rows.sum()
         if total < 3:
             break
-        middle_x, middle_y = rows @ x / total, columns @ b[:, :3] / total
-        u, s, vt = np.linalg.svd((b[:, :3] - middle_y).T @ weight.T @ (x - middle_x))
+        middle_x, middle_y = rows @ x / total, columns @ y / total
+        u, s, vt = np.linalg.svd((other[:, None] * (y - middle_y)).T @ (near.T @ (one[:, None] * (x - middle_x))))
         mirror = np.array([1.0, 1.0, np.sign(np.linalg.det(u) * np.linalg.det(vt))])
         factor = (s * mirror).sum() / max((rows * ((x - middle_x) ** 2).sum(1)).sum(), 1e-30) if scale else 1.0
         turn = factor * (u * mirror) @ vt
         added = transform(turn, middle_y - turn @ middle_x) @ added
     return added @ motion
+
+
+def _squares(a: np.ndarray, b: np.ndarray, unit: float) -> np.ndarray:
+    """Halves of the squared distances of a [M, 3] from b [N, 3], in units: [M, N] float32."""
+    a, b = ((each / (np.sqrt(2) * unit)).astype(np.float32) for each in (a, b))
+    return (a * a).sum(1)[:, None] + (b * b).sum(1) - 2 * a @ b.T
 
 
 def _some(cells: Cells) -> np.ndarray:

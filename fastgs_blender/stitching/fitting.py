@@ -25,6 +25,8 @@ LEVELS = (6, 11, 20, 40, 100)
 """Cells along the smaller of the two captures, from coarse to fine."""
 WAYS = ((0.0, 2), (0.3, 2), (0.12, 2), (0.0, 0))
 """Ways to begin, each with the size of EM-ICP's cloud in spreads, 0 without it, and the first level."""
+HOPELESS = {2: (0.35, -1.0), 3: (0.55, 0.4)}
+"""Agreement, and that of colours, below which no finer level is tried after a level: much less than sure fits had there (docs/notes)."""
 CLEAR = 0.85
 """Agreement from which on no other way is tried."""
 STEPS = 30
@@ -112,7 +114,8 @@ def align(moving: Instance, fixed: Instance, *, scale: bool = False, search: boo
 
 
 def _quality(found: _Found) -> float:
-    return found.overlap * found.agreement**4 * max(found.coloured, 0.0) ** 2
+    """How good a fit is.  One that was given up comes after all others: coarse cells agree more easily."""
+    return found.overlap * found.agreement**4 * max(found.coloured, 0.0) ** 2 * (1e-6 if found.coarse else 1)
 
 
 def _doubt(found: _Found) -> str:
@@ -143,6 +146,8 @@ class _Found(Alignment):
     firmness: float
     coloured: float
     """How much of one surface's colours the other's tell where they lie on each other: R^2 of the best affine map; 1 if all are alike."""
+    coarse: bool
+    """Whether it was given up before the finest level."""
 
 
 class _Fit:
@@ -157,9 +162,15 @@ class _Fit:
         found: list[_Found] = []
         for cloud, level in ways:
             motion = em_icp(start, self.moving, self.fixed, self.scale, cloud) if cloud else start
-            for cells in self.levels[level:]:
-                motion = self._level(motion, cells) @ motion
-            found.append(self.judged(motion))
+            for number in range(level, len(LEVELS)):
+                motion = self._level(motion, self.levels[number]) @ motion
+                if number in HOPELESS:
+                    rough, (agreement, coloured) = self.judged(motion, number), HOPELESS[number]
+                    if rough.agreement < agreement or rough.coloured < coloured:
+                        found.append(rough)
+                        break
+            else:
+                found.append(self.judged(motion))
             if found[-1].agreement > CLEAR and not _doubt(found[-1]):
                 break
         return max(found, key=_quality)
@@ -178,9 +189,9 @@ class _Fit:
                 break
         return added
 
-    def judged(self, motion: np.ndarray) -> _Found:
-        """A motion with how well it fits."""
-        fine, coarse = self.levels[-1], self.levels[-2]
+    def judged(self, motion: np.ndarray, level: int = -1) -> _Found:
+        """A motion with how well it fits, in the cells of a level."""
+        fine, coarse = self.levels[level], self.levels[level - 1]
         there = moved(self.moving, motion)
         moving = [Cells.of(there, cells.edge) for cells in (fine, coarse)]
         overlap, on, near, squares, count, colours = [], 0, 0, 0.0, 0, []
@@ -196,7 +207,7 @@ class _Fit:
         pairs = _pairs(moving[0], fine, np.eye(4), fine.edge)
         firmness = _solved(*pairs, self.scale, fine.edge)[1] if pairs[3].sum() >= 12 else 0.0
         return _Found(motion, float(np.sqrt(squares / max(count, 1))), max(overlap), on / max(near, 1), firmness,
-                      _colour_agreement(*colours[0]))
+                      _colour_agreement(*colours[0]), level != -1)
 
 
 def _colour_agreement(colours: np.ndarray, others: np.ndarray) -> float:

@@ -29,10 +29,6 @@ LARGEST = 40.0
 """The most points of one Gaussian."""
 STRAY = 0.25
 """Largest share of all that a Gaussian's length may be of the model's size; larger ones are haze."""
-AROUND = np.stack(np.meshgrid(*[(-1, 0, 1)] * 3, indexing="ij"), -1).reshape(-1, 3)
-"""A cell and its neighbours, relative to it: [27, 3]."""
-OFFSET = 1 << 20
-"""Cells are numbered from minus to plus this along each axis."""
 
 
 def skin(instance: Instance) -> np.ndarray:
@@ -107,19 +103,19 @@ class Cells:
     @staticmethod
     def of(points: np.ndarray, edge: float) -> Cells:
         """The cells of points [P, 6], see skin()."""
+        from ..kernels.cpu.cells import OFFSET, add_around  # it brings numba, which enabling the add-on must not
+
         points, colours = points[:, :3], points[:, 3:]
-        keys, inverse, count = np.unique(_keys(np.floor(points / edge)), return_inverse=True, return_counts=True)
+        x, y, z = np.clip(np.floor(points / edge).T, 3 - OFFSET, OFFSET - 3).astype(np.int64) + OFFSET
+        keys, inverse, count = np.unique((x << 42) | (y << 21) | z, return_inverse=True, return_counts=True)
         middle = points.mean(0)
-        x = points - middle
-        square = np.stack([x[:, i] * x[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], 1)
-        sums = np.stack([np.bincount(inverse, column, len(keys)) for column in (*x.T, *square.T)], 1)
+        way = points - middle
+        square = np.stack([way[:, i] * way[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], 1)
+        sums = np.stack([np.bincount(inverse, column, len(keys)) for column in (*way.T, *square.T)], 1)
         place = sums[:, :3] / count[:, None] + middle
         total = np.concatenate([count[:, None].astype(float), sums], 1)
-        near = total.copy()
-        found, there = _around(keys, np.floor(place / edge))
-        for column in range(27):
-            if not (AROUND[column] == 0).all():
-                near += np.where(there[:, column, None], total[found[:, column]], 0)
+        near = np.zeros_like(total)
+        add_around(keys, place, edge, total, near)
         mean = near[:, 1:4] / near[:, :1]
         spread = near[:, 4:] / near[:, :1] - np.stack(
             [mean[:, i] * mean[:, j] for i, j in ((0, 0), (0, 1), (0, 2), (1, 1), (1, 2), (2, 2))], 1)
@@ -130,20 +126,8 @@ class Cells:
 
     def nearest(self, points: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """For points [Q, 3] the cells [Q] whose places are nearest, and their distances [Q]; inf where no cell around has points."""
-        found, there = _around(self.keys, np.floor(points / self.edge))
-        away = np.where(there, ((self.place[found] - points[:, None]) ** 2).sum(2), np.inf)
-        best = away.argmin(1)
-        at = np.arange(len(points))
-        return found[at, best], np.sqrt(away[at, best])
+        from ..kernels.cpu.cells import nearest_places
 
-
-def _keys(cell: np.ndarray) -> np.ndarray:
-    at = np.clip(cell, -OFFSET + 1, OFFSET - 2).astype(np.int64) + OFFSET
-    return (at[..., 0] << 42) | (at[..., 1] << 21) | at[..., 2]
-
-
-def _around(keys: np.ndarray, cell: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Where among sorted keys the cells around cells [Q, 3] stand [Q, 27], and whether they are there."""
-    wanted = _keys(cell[:, None] + AROUND)
-    found = np.minimum(np.searchsorted(keys, wanted), len(keys) - 1)
-    return found, keys[found] == wanted
+        found, away = np.empty(len(points), np.int64), np.empty(len(points))
+        nearest_places(self.keys, self.place, self.edge, np.ascontiguousarray(points), found, away)
+        return found, away

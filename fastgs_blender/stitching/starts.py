@@ -68,22 +68,13 @@ def starts(moving: np.ndarray, fixed: np.ndarray, scale: bool, progress: Callabl
 
 def _described(cells: Cells, radius: float) -> tuple[np.ndarray, np.ndarray]:
     """Places [K, 3] of a surface and what lies around each [K, D], as unit vectors; where the surface bends first."""
+    from ..kernels.cpu.cells import count_turns  # it brings numba, which enabling the add-on must not
+
     rng = np.random.default_rng(0)
     chosen = rng.choice(len(cells.place), min(2 * KEYS, len(cells.place)), replace=False)
-    limits, out = np.array(SHELLS) * radius, []
-    for k in range(0, len(chosen), 64):
-        rows = chosen[k:k + 64]
-        way = cells.place[None] - cells.place[rows][:, None]
-        away = np.sqrt((way * way).sum(2))
-        i, j = np.nonzero((away < radius) & (away > 1e-9))
-        d = away[i, j]
-        turned = np.abs((cells.normal[rows][i] * cells.normal[j]).sum(1))
-        aside = np.abs((cells.normal[rows][i] * way[i, j]).sum(1)) / d
-        shell = np.searchsorted(limits, d, side="right") - 1
-        columns = [np.minimum((c * BINS).astype(int), BINS - 1) for c in (turned, aside)]
-        place = ((i * (len(SHELLS) - 1) + shell) * BINS + columns[0]) * BINS + columns[1]
-        out.append(np.bincount(place, minlength=len(rows) * (len(SHELLS) - 1) * BINS * BINS).reshape(len(rows), len(SHELLS) - 1, -1))
-    count = np.concatenate(out).astype(float)
+    count = np.zeros((len(chosen), len(SHELLS) - 1, BINS, BINS))
+    count_turns(cells.place, cells.normal, chosen, np.array(SHELLS) * radius, count)
+    count = count.reshape(*count.shape[:2], -1)
     share = np.sqrt(count / np.maximum(count.sum(2, keepdims=True), 1)).reshape(len(chosen), -1)
     unusual = np.linalg.norm(share - share.mean(0), axis=1)
     best = np.argsort(-unusual, kind="stable")[:KEYS]

@@ -26,6 +26,7 @@ BACKEND_USERS = {
     "fastgs_blender/selecting/grow.py": {"walk"},  # a graph, not a picture
     "fastgs_blender/selecting/spans.py": {"walk"}, "fastgs_blender/selecting/joins.py": {"walk"},
     "fastgs_blender/selecting/moving.py": {"walk"},
+    "fastgs_blender/stitching/skins.py": {"cells"}, "fastgs_blender/stitching/starts.py": {"cells"},  # a surface, not a picture
     "fastgs_blender/formats/rounding.py": {"jit"},  # rounds each number by the one before
     "scene/settings.py": {"cache"},  # Blender's folder for caches
     "engine/diagnostics.py": {"cache"},  # what is compiled
