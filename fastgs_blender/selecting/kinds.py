@@ -6,6 +6,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from ..model.framing import inside_backdrop, without_backdrop
 from ..model.gaussians import GaussianModel
 from ..model.sequence import Source
 from ..rendering.filters import Filter, values
@@ -16,6 +17,9 @@ MOST = 1e6
 """The upper end of a range that has none."""
 GROWN = ("MOVING", "STATIC")
 """The kinds that are selected by whole things, which takes seconds."""
+
+OF_SUBJECT = ("FLOATERS", "LARGE")
+"""The kinds that are selected without the backdrop: a sky's Gaussians lie far apart and are the largest of all."""
 
 
 class Kind(NamedTuple):
@@ -76,11 +80,14 @@ KINDS: dict[str, Kind] = {
 def chosen(model: GaussianModel, kind: str, colour: tuple[float, float, float] | None = None) -> np.ndarray:
     """Which Gaussians of a model are of a kind of KINDS: [N] bool.  colour: sRGB, of "COLOUR".  Raises FastGSError.
 
-    What moves are whole things (moving.py).
+    What moves are whole things (moving.py); OF_SUBJECT is never the backdrop.
     """
     if kind not in KINDS:
         raise FastGSError(f"the kind {kind!r} of Gaussians is unknown; there are {', '.join(KINDS)}.")
     if kind in GROWN:
         return moving(model) if kind == "MOVING" else ~moving(model)
-    found = KINDS[kind].filter(model)
-    return (found if colour is None else replace(found, colour=colour)).holds(model)
+    found = KINDS[kind].filter(without_backdrop(model) if kind in OF_SUBJECT else model)
+    bits = (found if colour is None else replace(found, colour=colour)).holds(model)
+    if kind in OF_SUBJECT:
+        bits &= np.isin(np.arange(len(model)), inside_backdrop(model))
+    return bits

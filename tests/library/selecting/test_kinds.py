@@ -79,3 +79,20 @@ def test_few_fast_specks_do_not_raise_the_speed():
 def test_where_nothing_moves_nothing_is_chosen(count):
     model = random_model(np.random.default_rng(0), count)
     assert not chosen(model, "MOVING").any() and chosen(model, "STATIC").all()
+
+
+def test_a_sky_is_neither_floaters_nor_large():
+    """Its Gaussians lie far apart and are the largest of all."""
+    rng, sky, alone = np.random.default_rng(0), slice(3000, 3300), slice(3300, 3303)
+    place, scale = rng.uniform(-1, 1, (3303, 3)), np.full((3303, 3), -3.0) + rng.uniform(0, 0.5, (3303, 1))
+    place[:3000, 1:] *= 0.02  # a rod, so that there are many in every cell
+    place[sky] *= 30 / np.linalg.norm(place[sky], axis=1, keepdims=True)
+    place[alone], scale[sky] = 8 * np.eye(3), 1.5
+    around = fg.Surroundings(backdrop=fg.Backdrop((0.0, 0, 0), 20.0))
+    whole = replace(random_model(rng, 3303), position=place, scale=scale, surroundings=around)
+    bits = chosen(whole, "FLOATERS")
+    assert bits[alone].all() and not bits[sky].any() and bits.mean() < 0.05
+    bits = chosen(whole, "LARGE")
+    assert not bits[sky].any() and 20 < bits.sum() < 60
+    without = replace(whole, surroundings=fg.Surroundings())
+    assert chosen(without, "FLOATERS")[sky].mean() > 0.5 and chosen(without, "LARGE")[sky].any()
