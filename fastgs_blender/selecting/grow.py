@@ -105,7 +105,7 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, re
 def unsure(model: GaussianModel, yes: np.ndarray, no: np.ndarray, thing: np.ndarray) -> np.ndarray:
     """The parts that strokes, given as for grow(), leave open of the thing [N] bool that was found: [N] their numbers, 1 the largest; 0 is
     sure.  One more stroke over a part, of either kind, as a rule decides it for the next grow()."""
-    return untold(joins(model), yes, no, thing, _other(model, yes) < 0.5)
+    return untold(joins(model), positions_at(model, 0.5), yes, no, thing, _other(model, yes) < 0.5)
 
 
 def _reached(border: float, reach: float, mean: float) -> float:

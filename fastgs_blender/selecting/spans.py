@@ -78,23 +78,30 @@ def continued(found: Joins, place: np.ndarray, thing: np.ndarray, may: np.ndarra
     (i, j), count = found.ends.T, len(thing)
     firm = (found.near <= NEAR) & (found.drift <= STILL)
     piece = pieces(count, found.ends[firm & ~thing[i] & ~thing[j]])
-    edge = firm & (thing[i] != thing[j])
-    way = place[j] - place[i]
-    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
-    (a, b), own = found.ends[firm & ~edge].T, way[firm & ~edge].T  # where each Gaussian's neighbours of its own side lie
-    many = np.maximum(np.bincount(a, minlength=count) + np.bincount(b, minlength=count), 1)
-    side = np.stack([(np.bincount(a, x, count) - np.bincount(b, x, count)) / many for x in own], 1)
-    i, j, way = i[edge], j[edge], way[edge]
-    apart = np.minimum(-(side[i] * way).sum(1), (side[j] * way).sum(1))
+    i, j, apart = _opposite(found.ends[firm], place, thing)
     beyond = piece[np.where(thing[i], j, i)]
     goes = np.bincount(beyond, apart, count) > ON * np.bincount(beyond, minlength=count)
     return thing | (goes & (np.bincount(piece, ~may, count) == 0))[piece]
 
 
-def untold(found: Joins, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, like: np.ndarray) -> np.ndarray:
+def _opposite(ends: np.ndarray, place: np.ndarray, side: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+    """The joins [E, 2] across the border of a side [N] bool: their ends [B], [B], and how far both sides lie opposite there [B]."""
+    (i, j), count = ends.T, len(side)
+    edge = side[i] != side[j]
+    way = place[j] - place[i]
+    way /= np.maximum(np.linalg.norm(way, axis=1, keepdims=True), 1e-9)
+    (a, b), own = ends[~edge].T, way[~edge].T  # where each Gaussian's neighbours of its own side lie
+    many = np.maximum(np.bincount(a, minlength=count) + np.bincount(b, minlength=count), 1)
+    around = np.stack([(np.bincount(a, x, count) - np.bincount(b, x, count)) / many for x in own], 1)
+    i, j, way = i[edge], j[edge], way[edge]
+    return i, j, np.minimum(-(around[i] * way).sum(1), (around[j] * way).sum(1))
+
+
+def untold(found: Joins, place: np.ndarray, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, like: np.ndarray) -> np.ndarray:
     """The pieces of one colour of which strokes do not tell whether they belong to a thing: [N] their numbers, 1 the largest; 0 is sure.
 
-    Within the thing these have none of the stroke's colours (`like`); around it they hang on it.  Masks as above.
+    Within the thing these have none of the stroke's colours (`like`), the stroke lies in one of its pieces, and it does not go on into
+    them; around it they hang on it.  Masks and place as above.
     """
     from ..kernels.cpu.walk import pieces
 
@@ -108,6 +115,12 @@ def untold(found: Joins, yes: np.ndarray, no: np.ndarray, thing: np.ndarray, lik
     open_ = np.where(thing, ours < 0.5 * size, hangs) & (size > 0) & (size >= low) & (size <= high)
     for each in yes, no:
         open_ &= np.bincount(piece, each, count) < TOLD * size
+    if ((size >= FEW) & (np.bincount(piece, yes & thing, count) > 0)).sum() > 1:  # it crosses colours
+        open_ &= ~thing
+    within = found.ends[firm & thing[i] & thing[j]]
+    for number in np.flatnonzero(open_ & thing):
+        apart = _opposite(within, place, piece == number)[2]
+        open_[number] = not len(apart) or apart.mean() <= ON
     largest = np.flatnonzero(open_)
     number = np.zeros(count, np.int64)
     number[largest[np.argsort(-size[largest], kind="stable")]] = np.arange(len(largest)) + 1

@@ -182,10 +182,15 @@ def test_what_has_colours_of_the_stroke_is_found_first():
     assert np.flatnonzero(chain(thing=range(16), may=[*RED, *BLUE, *HEAD[1:]])).tolist() == [*RED, *BLUE]
 
 
-def doubts(parted=(), **changed) -> list[list[int]]:
-    """The parts of the same chain of which untold() says that no stroke tells, the largest first; a red stroke, and one beside."""
+def doubts(parted=(), straight=False, **changed) -> list[list[int]]:
+    """The parts of the same chain of which untold() says that no stroke tells, the largest first; a red stroke, and one beside.  Each ten
+    of the chain lie beside the ten before, or all on a line."""
+    k = np.arange(40)
+    x = k if straight else np.where(k // 10 % 2, 9 - k % 10, k % 10)
+    place = np.stack([x, 0 * k if straight else k // 10, 0 * k], 1).astype(float)
+
     def of(found, may, **rows):
-        return untold(found, **rows)
+        return untold(found, place, **rows)
 
     number = chain(parted, of, **dict(yes=range(6), no=range(30, 40), like=RED) | changed)
     return [np.flatnonzero(number == k).tolist() for k in range(1, number.max() + 1)]
@@ -199,6 +204,14 @@ def test_strokes_leave_parts_open():
     for changed in dict(yes=[*RED, *HEAD]), dict(no=HEAD), dict(parted=[19]), dict(thing=range(15, 20), like=range(20)):
         assert [*HEAD] not in doubts(**changed)
     assert doubts(thing=[]) == []
+
+
+def test_no_part_of_a_thing_is_open_if_its_stroke_crosses_colours_or_it_goes_on_there():
+    """What hangs on it still is."""
+    whole = dict(thing=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE])
+    assert doubts(**whole) == [[*HEAD]] and doubts(straight=True, **whole) == []
+    assert doubts(yes=[*range(6), *BLUE[:3]], **whole) == []
+    assert doubts(straight=True) == [[*HEAD]]
 
 
 def test_one_more_stroke_decides_a_part_that_is_unsure():
