@@ -5,6 +5,7 @@ Every segment was trained in its own time u in [0, 1], and lies at t = begin + l
 basis of time (motion.py) writes the same motion in t, where it can.  What the segments share, the decoder above all, must be the
 same in all of them.
 """
+import mmap
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Any
@@ -26,6 +27,8 @@ FOREVER = 1e6
 ALWAYS: dict[type, tuple[float, ...]] = {
     Radial: (FLAT,), Window: (-FOREVER, FOREVER, 0.0, 0.0), WindowedRadial: (FLAT, -FOREVER, FOREVER, 0.0)}
 """The parameters with which Gaussians of a kind are always there."""
+PAGES = range(1 << 17, 1 << 22)
+"""Bytes of an array that gets pages of its own: smaller ones would waste them, and NumPy asks for large pages for larger ones."""
 
 
 def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
@@ -69,8 +72,17 @@ def concatenate(models: Sequence[GaussianModel]) -> GaussianModel:
     around = first.surroundings
     if len(models) > 1:  # the sphere of one model's backdrop says nothing of another's Gaussians
         around = replace(together([m.surroundings for m in models]), backdrop=None)
-    return replace(first, **{name: np.concatenate(parts) for name, parts in arrays.items()}, **kinds, surroundings=around,
-                   parts=parts_together([(m.parts, len(m)) for m in models]))
+    kinds |= {name: _end_to_end(parts) for name, parts in arrays.items()}
+    return replace(first, **kinds, surroundings=around, parts=parts_together([(m.parts, len(m)) for m in models]))
+
+
+def _end_to_end(parts: list[np.ndarray]) -> np.ndarray:
+    """np.concatenate(), in pages that go back to the system: between arrays that come and go as a long clip plays, glibc's heap grows."""
+    shape, dtype = (sum(map(len, parts)), *parts[0].shape[1:]), np.result_type(*parts)
+    size = sum(part.size for part in parts) * dtype.itemsize
+    if size not in PAGES or not hasattr(mmap, "MAP_PRIVATE"):
+        return np.concatenate(parts)
+    return np.concatenate(parts, out=np.frombuffer(mmap.mmap(-1, size, mmap.MAP_PRIVATE), dtype).reshape(shape))
 
 
 def _with_harmonics(model: GaussianModel, degree: int) -> GaussianModel:

@@ -118,3 +118,11 @@ def test_models_of_other_kinds_are_not_put_together(rng):
     for given, said in ((first, "list.*GaussianModel"), ([first, 3], "list.*3"), ([first, "m.ply"], "list.*'m.ply'")):
         with pytest.raises(fg.FastGSError, match=said):
             fg.concatenate(given)
+
+
+def test_large_arrays_lie_end_to_end(rng):
+    """Opacities stay below the size from which an array gets pages of its own, places and motion do not."""
+    models = [random_model(rng, n, "paper", "line", "radial", "sh1") for n in (15_000, 3, 1000)]
+    both = fg.concatenate(models)
+    for name, array in both.arrays.items():
+        np.testing.assert_array_equal(array, np.concatenate([m.arrays[name] for m in models]))
