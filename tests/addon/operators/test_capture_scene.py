@@ -111,7 +111,8 @@ def test_a_world_that_our_engine_shows_itself_is_left_out(moving_scene, module, 
     bpy.ops.fastgs.capture_scene(out=str(tmp_path / "film"), count=2, samples=1, frame_end=3, world=world, **SIZE)
     assert not moving_scene.render.film_transparent
     capture = module("fastgs_blender.captures").open_capture(tmp_path / "film")
-    pixels = module("fastgs_blender.captures.pixels.store").FrameStore(capture, 2**20, folder=tmp_path / "cache").pixels(capture.shots[0])
+    store = module("fastgs_blender.captures.pixels.store").FrameStore(capture, 2**20, folder=tmp_path / "cache", whole=True)
+    pixels = store.pixels(capture.shots[0])
     assert (pixels.alpha is None) == filmed
     if not filmed:
         assert pixels.alpha[12, 16] == 1 and pixels.alpha[0, 0] == 0 and np.abs(pixels.alpha - pixels.mask).max() < 0.1
