@@ -13,6 +13,8 @@ that strokes pull to 1 and -1 and everything else weakly to 0, what has other co
 With a stroke over what does not belong to it, the border is the potential at which the joins that it cuts are weakest, by those
 within it: a sweep cut (Andersen, Chung and Lang 2006), which prefers high borders.  Pieces of other colours are added (spans.py).
 """
+from dataclasses import dataclass
+
 import numpy as np
 
 from ..model.gaussians import GaussianModel
@@ -20,7 +22,8 @@ from ..model.slicing import positions_at
 from ..rendering.filters import base_colours
 from ..util.curve import hilbert_order
 from ..util.errors import FastGSError
-from .joins import LOOSE, joins
+from ..util.kept import kept
+from .joins import LOOSE, Joins, joins
 from .spans import continued, spanned, untold
 
 PULL, MOST_PULL = 0.3, 0.03
@@ -55,6 +58,26 @@ LEAST = 0.02
 """What is left at least of the pull of a stroke's Gaussian whose neighbours say otherwise."""
 
 
+@dataclass(frozen=True)
+class Fields:
+    """What strokes say of every Gaussian, whatever the reach.
+
+    other      [N] bool, of another colour than the stroke's
+    weight     [E], degree [N] as of Joins.held()
+    alone, y   [N] the potentials, the first without joins that hold less
+    borders    that may end the thing, and for each the `ratio` of the joins that it cuts
+    """
+
+    found: Joins
+    other: np.ndarray
+    weight: np.ndarray
+    degree: np.ndarray
+    alone: np.ndarray
+    y: np.ndarray
+    borders: np.ndarray
+    ratio: np.ndarray
+
+
 def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, reach: float = 0.0) -> np.ndarray:
     """Which Gaussians [N] bool belong to the thing that strokes went over, on all frames.
 
@@ -63,13 +86,41 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, re
     reach  how much farther than the border that is found, or less far: 1 to -1, the lowest and the highest border; below 0 without
            pieces of other colours
 
-    Joins are kept while the model lives, so that further strokes take less time.  Raises FastGSError where `yes` is empty.
+    Joins are kept while the model lives, so that further strokes take less time, and so are the potentials of the latest strokes, for
+    another reach.  Raises FastGSError where `yes` is empty.
     """
-    from ..kernels.cpu.walk import potential  # it brings numba, which enabling the add-on must not
-
     if not yes.any():
         raise FastGSError("nothing of the thing is marked yet; draw a stroke over it first.")
     no = np.zeros_like(yes) if no is None else no
+    strokes, latest = np.packbits([yes, no]).tobytes(), _latest(model)
+    if (fields := latest.get(strokes)) is None:
+        fields = _fields(model, yes, no)
+        latest.clear()
+        latest[strokes] = fields
+    y, ratio, best = fields.y, fields.ratio, np.argmin((fields.ratio + FREE) / np.geomspace(*BORDERS, TRIED))
+    thing, may = y > _reached(fields.borders[best], reach, float(y[yes].mean())), y > fields.borders[0]
+    if not no.any():
+        mean = float(fields.alone[yes].mean())
+        alone, (i, j) = fields.alone > _reached(BORDER_ALONE * mean, reach, mean), fields.found.ends.T
+        torn = fields.weight[alone[i] != alone[j]].sum() / fields.degree[alone].sum()
+        whole = thing.all() or thing.mean() < LARGEST
+        return thing if whole and torn > TORN and ratio[best] < CLEAN * torn else alone
+    if reach < 0:
+        return thing
+    thing = spanned(fields.found, yes, no, thing, may, ~fields.other)
+    return continued(fields.found, positions_at(model, 0.5), thing, may)
+
+
+@kept
+def _latest(model: GaussianModel) -> dict[bytes, Fields]:
+    """The fields of a model's latest strokes."""
+    return {}
+
+
+def _fields(model: GaussianModel, yes: np.ndarray, no: np.ndarray) -> Fields:
+    """Fields of strokes, given as for grow()."""
+    from ..kernels.cpu.walk import potential  # it brings numba, which enabling the add-on must not
+
     against = bool(no.any())
     other = _other(model, yes) if against else np.zeros(len(model))
     rest = REST * (1 + OTHER * other)
@@ -84,22 +135,12 @@ def grow(model: GaussianModel, yes: np.ndarray, no: np.ndarray | None = None, re
     y = potential(found.ends, weight, pull + nearly, pull * side, order)
     around = (np.bincount(i, weight * y[j], len(model)) + np.bincount(j, weight * y[i], len(model))) / degree
     pull *= np.maximum(np.clip(0.5 + 0.5 * side * around, 0, 1) ** 2, LEAST)
-    y = potential(found.ends, weight, pull + nearly, pull * side, order)
-    alone = y > _reached(BORDER_ALONE * float(y[yes].mean()), reach, float(y[yes].mean()))
-    y = potential(found.ends, weight * FALL / (FALL + np.abs(y[i] - y[j])), pull + rest, pull * side, order)
+    alone = potential(found.ends, weight, pull + nearly, pull * side, order)
+    y = potential(found.ends, weight * FALL / (FALL + np.abs(alone[i] - alone[j])), pull + rest, pull * side, order)
     borders, ratio = _cuts(y, float(y[yes].mean()), found.ends, weight, degree)
     if held := np.searchsorted(borders, np.quantile(y[yes], 1 - HELD)):  # higher ones leave out too much of the stroke
         ratio[held:] = np.inf
-    best = np.argmin((ratio + FREE) / np.geomspace(*BORDERS, TRIED))
-    thing, may = y > _reached(borders[best], reach, float(y[yes].mean())), y > borders[0]
-    if not against:
-        torn = weight[alone[i] != alone[j]].sum() / degree[alone].sum()
-        whole = thing.all() or thing.mean() < LARGEST
-        return thing if whole and torn > TORN and ratio[best] < CLEAN * torn else alone
-    if reach < 0:
-        return thing
-    thing = spanned(found, yes, no, thing, may, other < 0.5)
-    return continued(found, positions_at(model, 0.5), thing, may)
+    return Fields(found, other >= 0.5, weight, degree, alone, y, borders, ratio)
 
 
 def unsure(model: GaussianModel, yes: np.ndarray, no: np.ndarray, thing: np.ndarray) -> np.ndarray:

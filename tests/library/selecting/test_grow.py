@@ -44,6 +44,22 @@ def test_the_border_is_moved_by_hand():
         assert (found <= more).all() and more.sum() > 1.5 * found.sum()
 
 
+def test_another_reach_needs_no_new_potentials(monkeypatch):
+    """Those of the latest strokes are kept; other strokes are not answered with them."""
+    scene = made("cloths")
+    model = scene.model.take(slice(None))
+    yes, no = scenes.strokes(model, scene)
+    asked = []
+    monkeypatch.setattr("fastgs_blender.kernels.cpu.walk.potential", lambda *given: asked.append(given) or potential(*given))
+    found = grow(model, yes, no)
+    first = len(asked)
+    grow(model, yes, no, 0.5)
+    assert first and len(asked) == first
+    other = grow(model, no, yes)
+    assert len(asked) == 2 * first and (other != found).any()
+    np.testing.assert_array_equal(grow(model, yes, no), found)
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["ball and box", "cloths", "lifted"])
 def test_a_click_is_enough(name):
