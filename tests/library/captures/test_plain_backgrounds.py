@@ -16,6 +16,7 @@ import fastgs_blender as fg
 from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.pixels import plain
 from fastgs_blender.captures.pixels.store import FrameStore, Pixels
+from fastgs_blender.evaluation.training_record import record, recorded
 from fastgs_blender.training.core.settings import settings
 from fastgs_blender.training.core.trainer import Trainer
 from fastgs_blender.training.initial.start import start
@@ -189,3 +190,10 @@ def test_the_check_says_so_and_calls_nothing_dark_or_burnt(figure):
     (section,) = [section for name, section in report.sections.items() if "brightness" in section.measures]
     assert ["--masks" in finding.advice for finding in section.findings].count(True) == 1
     assert not {"median brightness", "burnt share"} & {finding.figure[0] for finding in section.findings if finding.figure}
+
+
+@pytest.mark.parametrize("whole", [True, False])
+def test_a_model_says_whether_it_shows_the_background(figure, whole):
+    known = recorded(replace(toy_scene(), provenance=record(figure, whole)))
+    assert known is not None
+    assert known.whole == whole
