@@ -24,7 +24,7 @@ import numpy as np
 
 from ...util.errors import FastGSError
 from ...util.outputs import remove_leftovers
-from ..capture import Capture, Shot, by_view
+from ..capture import Capture, Shot
 from . import bounds, decoding, framefiles, plain, undistortion
 from .checks import sentence
 from .filling import fill
@@ -139,13 +139,19 @@ class FrameStore:
     @cached_property
     def plain(self) -> plain.Plain | None:
         """The plain background of all pictures, as some of them show."""
-        if self.whole or any(facts(shots[0].image).alpha for shots in by_view(self.capture.shots).values()):
+        if self.whole:
             return None
         some = [self.capture.shots[k] for k in np.unique(np.linspace(0, len(self.capture.shots) - 1, LOOKS).round().astype(int))]
         with contextlib.suppress(FastGSError):  # whoever asks for a damaged picture is told
             self.fill(shots=some)
-        some = [shot for shot in some if self._is_there(shot)]
-        return plain.background([_planes(self._read(shot))[0] for shot in some], [self._valid_of(shot) for shot in some])
+        pictures, valid = [], []
+        for shot in some:
+            with contextlib.suppress(FastGSError):
+                if facts(shot.image).alpha:
+                    return None
+                pictures.append(_planes(self._read(shot))[0])
+                valid.append(self._valid_of(shot))
+        return plain.background(pictures, valid) if pictures else None
 
     def stored(self, shot: Shot) -> np.ndarray:
         """The pixels [h, w, 3 to 5] as they are kept in memory: uint8 or uint16, not to be written to."""

@@ -139,6 +139,19 @@ def test_the_store_gives_pixels_as_if_they_had_alpha(filmed, cache):
             assert pixels.stored is None
 
 
+def test_damaged_pictures_do_not_hide_the_background_and_are_told_when_asked_for(filmed, cache):
+    kind, capture, _ = filmed
+    for shot in capture.shots[:1]:
+        shot.image.path.write_bytes(shot.image.path.read_bytes()[:120])
+    assert (FrameStore(capture, folder=cache).plain is None) == (kind == "alpha")
+    for shot in capture.shots[1:]:
+        shot.image.path.write_bytes(shot.image.path.read_bytes()[:120])
+    store = FrameStore(capture, folder=cache / "all")
+    assert store.plain is None
+    with pytest.raises(fg.FastGSError, match="0001.png"):
+        store.pixels(capture.shots[0])
+
+
 def test_a_whole_picture_stays_as_it_is(filmed, cache):
     kind, capture, _ = filmed
     store = FrameStore(capture, folder=cache, whole=True)
