@@ -2,6 +2,7 @@
 """Checks the poses and lenses of a calibration, by features that pictures of several cameras have in common."""
 from collections.abc import Collection
 from itertools import combinations
+from operator import itemgetter
 
 import numpy as np
 
@@ -165,10 +166,11 @@ def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Co
             for place, corner, far, error in zip(places // CLOSE, places > middle, radius, pair.distance):
                 found[view][(pair.b, pair.a)[k], *place] = error, far, corner @ (1, 2)  # what stands still is one place at all moments
     rises = {view: rise for view, each in found.items() if each and (rise := _rise(np.array(list(each.values())))) is not None}
-    for view in [view for view, (_, sure) in rises.items() if sure]:
-        section.add("poor", f"Near the borders of {view}, matches miss by {rises[view][0]:.1f} pixels more than in its middle: its lens is "
-                    "not what the calibration says.", "Calibrate with a board that reaches into the corners, with more coefficients of "
-                    "distortion or as a fisheye.", [view], ("rise at the border", round(rises[view][0], 3), "pixels"))
+    if certain := {view: rise for view, (rise, sure) in rises.items() if sure}:
+        view, most = max(certain.items(), key=itemgetter(1))
+        section.add("poor", f"Near the borders of {listed(certain)}, matches miss by {most:.1f} pixels ({view}) more than in the middle: "
+                    "the lens is not what the calibration says.", "Calibrate with a board that reaches into the corners, with more "
+                    "coefficients of distortion or as a fisheye.", certain, ("rise at the border", round(most, 3), "pixels"))
     section.measures["border_rise_pixels"] = {view: round(value, 4) for view, (value, _) in rises.items()}
 
 
@@ -190,25 +192,34 @@ def _rise(features: np.ndarray) -> tuple[float, bool] | None:
 
 
 def _lenses(section: Section, inspection: Inspection) -> None:
-    for view, samples in inspection.samples.items():
-        given, sample = samples[0].shot.image.intrinsics, samples[0]
+    squeezed, shifted, empty = {}, {}, {}
+    for view, (sample, *_) in inspection.samples.items():
+        given = sample.shot.image.intrinsics
         if given is None:
             continue
-        odd = []
         if abs(given.fx / given.fy - 1) > ODD_FOCAL:
-            odd.append(f"its focal lengths are {given.fx:.0f} and {given.fy:.0f} pixels")
+            squeezed[view] = f"{given.fx:.0f} and {given.fy:.0f} pixels"
         off = max(abs(given.cx / given.width - 0.5), abs(given.cy / given.height - 0.5))
         if off > ODD_CENTRE:
-            odd.append(f"its optical axis is {off:.0%} of the picture off its middle")
-        if odd:
-            section.add("note", f"The calibration of {view} is unusual: {' and '.join(odd)}.", "That is right for cropped or squeezed "
-                        "pictures only; else calibrate again.", [view])
+            shifted[view] = off
         inside = None if sample.shot.image.lens.is_pinhole else undistortion.valid(sample.shot)  # sample.valid knows transparency too
-        empty = 0.0 if inside is None else float(1 - inside.mean())
-        if empty > EMPTY:
-            section.add("note", f"Undoing the lens of {view} leaves {empty:.0%} of its picture empty.", "Such borders do not count in "
-                                                                                                        "training; check the "
-                        "coefficients of distortion if that is a surprise.", [view], ("empty share", round(empty, 3), ""))
+        share = 0.0 if inside is None else float(1 - inside.mean())
+        if share > EMPTY:
+            empty[view] = share
+    unusual = "That is right for cropped or squeezed pictures only; else calibrate again."
+    if squeezed:
+        view, lengths = next(iter(squeezed.items()))
+        section.add("note", f"The calibration of {listed(squeezed)} is unusual: the focal lengths of {view} are {lengths}.", unusual,
+                    squeezed)
+    if shifted:
+        view, off = max(shifted.items(), key=itemgetter(1))
+        section.add("note", f"The calibration of {listed(shifted)} is unusual: the optical axis of {view} is {off:.0%} of the picture off "
+                    "its middle.", unusual, shifted)
+    if empty:
+        view, share = max(empty.items(), key=itemgetter(1))
+        section.add("note", f"Undoing the distortion of {listed(empty)} leaves {share:.0%} of the picture of {view} empty.",
+                    "Such borders do not count in training; check the coefficients of distortion if that is a surprise.", empty,
+                    ("empty share", round(share, 3), ""))
 
 
 def _same_places(section: Section, inspection: Inspection) -> None:

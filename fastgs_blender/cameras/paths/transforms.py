@@ -25,9 +25,9 @@ def load(file: Path, values: dict, picture: Picture) -> CameraPath:
     found, times = [], []
     for i, entry in enumerate(entries):
         where = f"{file}: frame {i}"
-        given = given_for(values, poses.table(entry, where))
+        given = given_for(values, poses.table(entry, where), where)
         intrinsics = intrinsics_of(given, where, lambda: (picture.width, picture.height))
-        found.append((lens_of(given, where), intrinsics, pose_of(entry, where)))
+        found.append((lens_of(given, where), intrinsics, pose_of(values, entry, where)))
         if entry.get("time") is not None:
             times.append(poses.number(entry["time"], f"{where}: its time"))
     moving = len(set(times)) == len(entries)

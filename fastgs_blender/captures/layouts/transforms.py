@@ -1,14 +1,16 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""The transforms.json family: nerfstudio, instant-ngp, D-NeRF (and its relatives), BlenderNeRF.
+"""The transforms.json family: nerfstudio, instant-ngp, D-NeRF (and its relatives), BlenderNeRF, NeuS2.
 
-    transforms.json                              or
-    transforms_train.json, _val.json, _test.json   val and test are held out
+    transforms.json                                or
+    transforms_train.json, _val.json, _test.json   val and test are held out, or
+    train/transform_000280.json, ..., test/...     a file for each moment, also without the folders (NeuS2)
 
 Poses are camera-to-world with OpenGL's camera axes.  `time` of a picture in [0, 1] is the model's t; other times are put there in
 even steps.  Without times, pictures cam00/0001.png, cam01/0001.png, ... are a rig's frames; and one picture of each camera stands for the
 film that is called like it, or is a film itself.  All others show one moment.
 Intrinsics and distortion stand at the top or with each picture.  mask_path: black is to be ignored (nerfstudio).
 """
+import re
 from dataclasses import replace
 from pathlib import Path
 from reprlib import repr as shortened
@@ -31,23 +33,24 @@ from .transforms_views import Picture, short, stem, times_of, views_of
 
 name = "transforms.json"
 SPLITS = ("train", "val", "test")
+MOMENT = re.compile(r"transforms?_(\d+)\.json")
 POINT_FILES = ("sparse_pc.ply", "points3d.ply", "points3D.ply", "fused.ply")
 
 
 def recognises(path: Path) -> bool:
     """A folder with transforms.json or transforms_train.json, or one of these files."""
     if path.is_file():
-        return path.suffix.lower() == ".json" and path.name.lower().startswith("transforms")
+        return path.suffix.lower() == ".json" and path.name.lower().startswith("transform")
     return bool(_files(path))
 
 
 def load(path: Path, options: Options) -> Capture:
     """The capture that the file, or a folder's files, describe."""
-    files = _files(path) if path.is_dir() else {_split(path): path}
+    files = _files(path) if path.is_dir() else [(_split(path), path, None)]
     if not files:
         raise FastGSError(f"{path}: there is no transforms.json or transforms_train.json in it.")
-    tables = {file: poses.table(read_json(file), f"{file}: it") for file in files.values()}
-    pictures = [picture for split, file in files.items() for picture in _read(file, tables[file], split)]
+    tables = {file: poses.table(read_json(file), f"{file}: it") for _, file, _ in files}
+    pictures = [picture for split, file, moment in files for picture in _read(file, tables[file], split, moment)]
     there = [picture for picture in pictures if picture.source is not None]
     if not there:
         raise FastGSError(f"{path}: none of its {len(pictures)} pictures is there (such as {shortened(pictures[0].stated)}); copy them "
@@ -100,11 +103,15 @@ def _filmed(path: Path, file: Path, pictures: dict[str, Picture], options: Optio
                     **settings)
 
 
-def _files(path: Path) -> dict[str, Path]:
-    found = {split: path / f"transforms_{split}.json" for split in SPLITS}
-    found = {split: file for split, file in found.items() if file.is_file()}
-    whole = path / "transforms.json"
-    return {"": whole} if whole.is_file() else found
+def _files(path: Path) -> list[tuple[str, Path, float | None]]:
+    """Split and path of the files that list a folder's pictures, and the moment where each of them has a file of its own."""
+    for called in ("transforms", "transform"):
+        if (whole := path / f"{called}.json").is_file():
+            return [("", whole, None)]
+        if found := [(split, file, None) for split in SPLITS if (file := path / f"{called}_{split}.json").is_file()]:
+            return found
+    return [(split, file, float(match[1])) for split in ("", *SPLITS) for file in sorted((path / split).glob("transform*.json"))
+            if (match := MOMENT.fullmatch(file.name))]
 
 
 def _split(file: Path) -> str:
@@ -124,7 +131,7 @@ def _points(tables: dict[Path, dict]) -> Points | None:
 # Reading
 
 
-def _read(file: Path, values: dict, split: str) -> list[Picture]:
+def _read(file: Path, values: dict, split: str, moment: float | None) -> list[Picture]:
     if "frames" not in values:
         raise FastGSError(f"{file}: it lacks frames, the list of its pictures.")
     splits = {str(name): part for part in SPLITS
@@ -140,12 +147,12 @@ def _read(file: Path, values: dict, split: str) -> list[Picture]:
         for key in ("file_path", "mask_path"):
             _check_local(file.parent, frame.get(key), f"{where}: its {key}")
         picture = _found(file.parent, stated)
-        time = frame.get("time")
-        source = None if picture is None else _source(picture, given_for(values, frame), where, sizes)
+        time = frame.get("time", moment)
+        source = None if picture is None else _source(picture, given_for(values, frame, where), where, sizes)
         mask = _found(file.parent, frame.get("mask_path"))
         pictures.append(Picture(
             splits.get(stated, split), stated, source, None if mask is None else Source(mask),
-            pose_of(frame, where), None if time is None else poses.number(time, f"{where}: its time")))
+            pose_of(values, frame, where), None if time is None else poses.number(time, f"{where}: its time")))
     return pictures
 
 

@@ -99,6 +99,39 @@ def test_fisheye(tmp_path, tmp_path_factory, top):
     rig.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES[:2])
 
 
+MATRIX = [[150, 0, 81], [0, 152, 59], [0, 0, 1]]
+
+
+@pytest.mark.parametrize(("key", "matrix"), [
+    ("K", MATRIX), ("intrinsic_matrix", [[*row, 0] for row in MATRIX] + [[0, 0, 0, 1]])])
+def test_a_matrix_with_each_picture(tmp_path, tmp_path_factory, key, matrix):
+    """As a studio's converter wrote them: w and h at the top, and no focal length."""
+    frames = write_rig(tmp_path, per_frame=lambda i: {key: matrix})
+    write(tmp_path / "transforms.json", frames, w=160, h=120)
+    RIG.check(open_capture(tmp_path), tmp_path_factory.mktemp("cache"), NAMES)
+
+
+@pytest.mark.parametrize("given", ["capture", "train"])
+def test_neus2_has_a_file_for_each_moment(tmp_path, tmp_path_factory, given):
+    """DATA_CONVENTION.md of 19reborn/NeuS2: from_na means OpenCV's camera axes."""
+    for k in range(RIG.frames):
+        for split, cameras in (("train", range(2)), ("test", [2])):
+            frames = []
+            for i in cameras:
+                place = f"images/{280 + k:06}/image_c_{i:03}_f_{280 + k:06}.png"
+                RIG.write_picture(tmp_path / place, i, k)
+                frames.append({"file_path": f"../{place}", "transform_matrix": np.linalg.inv(RIG.poses[i]).tolist(),
+                               "intrinsic_matrix": [[*row, 0] for row in MATRIX] + [[0, 0, 0, 1]]})
+            write(tmp_path / split / f"transform_{280 + k:06}.json", frames, from_na=True, w=160, h=120, scale=0.5, offset=[0.5] * 3)
+    if given == "train":
+        capture = open_capture(tmp_path / "train")
+        assert len(capture) == 2 * RIG.frames and not capture.held_out_views
+        return
+    capture = open_capture(tmp_path)
+    assert (capture.layout, capture.clip.frame_count, capture.held_out_views) == ("transforms.json", 3, ["cam02"])
+    RIG.check(capture, tmp_path_factory.mktemp("cache"), ["cam00", "cam01", "cam02"])
+
+
 @pytest.fixture
 def dnerf(tmp_path):
     """One moving camera, splits in three files, RGBA pictures without sizes or endings in the files."""
@@ -182,6 +215,8 @@ def test_missing_pictures_are_told(tmp_path):
     (lambda v: v.update(camera_model="EQUIRECTANGULAR"), "EQUIRECTANGULAR"), (lambda v: v.update(k4=0.5), "k4"),
     (lambda v: v["frames"][2].update(time=0.5), "no time"), (lambda v: v.update(cx="left"), "principal point"),
     (lambda v: v.pop("fl_x"), "focal"),
+    (lambda v: (v.pop("fl_x"), v.update(K=[[1, 2], [3, 4]])), "its K"),
+    (lambda v: (v.pop("fl_x"), v["frames"][0].update(intrinsic_matrix="large")), "frame 0: its intrinsic_matrix"),
 ])
 def test_what_is_wrong_is_one_sentence(tmp_path, change, words):
     values = {"frames": write_rig(tmp_path), **intrinsics(SIMPLE)}

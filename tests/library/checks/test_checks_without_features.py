@@ -36,7 +36,11 @@ def inspection(tmp_path):
 
 
 def told(section):
-    return {view: finding.sentence for finding in section.findings for view in finding.views}
+    found = {}
+    for finding in section.findings:
+        for view in finding.views:
+            found[view] = f"{found.get(view, '')} {finding.sentence}"
+    return found
 
 
 def test_odd_lenses_and_empty_borders_are_named(tmp_path, inspection):
@@ -52,7 +56,17 @@ def test_odd_lenses_and_empty_borders_are_named(tmp_path, inspection):
     found = told(calibration.run(inspection(path)))
     assert found.keys() == {"cam00", "cam01"}, "a few per cent are usual"
     assert all(part in found["cam00"] for part in ("focal lengths", "300 and 360 pixels", "optical axis", "19%"))
-    assert "lens of cam01" in found["cam01"]
+    assert "distortion of cam01" in found["cam01"]
+
+
+def test_what_many_cameras_share_is_told_once(tmp_path, inspection):
+    path = write_room(tmp_path / "made", 7, 1, spread=0.4, detail=1)
+    values = json.loads((path / "cameras.json").read_text("utf-8"))
+    for i, camera in enumerate(values["cameras"]):
+        camera["cx"] += 60 + i
+    (path / "cameras.json").write_text(json.dumps(values), "utf-8")
+    (finding,) = (finding for finding in calibration.run(inspection(path)).findings if "optical axis" in finding.sentence)
+    assert len(finding.views) == 7 and "cam06" in finding.sentence and "21%" in finding.sentence
 
 
 def test_one_pose_for_two_cameras_is_wrong_where_their_pictures_differ(tmp_path, inspection):
