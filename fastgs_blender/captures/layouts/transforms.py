@@ -108,8 +108,9 @@ def _files(path: Path) -> list[tuple[str, Path, float | None]]:
     for called in ("transforms", "transform"):
         if (whole := path / f"{called}.json").is_file():
             return [("", whole, None)]
-        if found := [(split, file, None) for split in SPLITS if (file := path / f"{called}_{split}.json").is_file()]:
-            return found
+        files = {split: path / f"{called}_{split}.json" for split in SPLITS}
+        if any(file.is_file() for file in files.values()):
+            return [(split, file, None) for split, file in files.items() if file.is_file()]
     return [(split, file, float(match[1])) for split in ("", *SPLITS) for file in sorted((path / split).glob("transform*.json"))
             if (match := MOMENT.fullmatch(file.name))]
 
