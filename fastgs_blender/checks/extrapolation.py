@@ -42,19 +42,16 @@ def run(inspection: Inspection) -> Section:
     for view in capture.held_out_views:
         if view in nearest:
             _held_out(section, space, view, nearest[view], count)
-    gaps = {view: nearest[view][1] for view in inspection.training}
     if count < FEW:
         _few(section, space, inspection.training)
-    widest = max(space.angle(a, b) for a in inspection.training for b in inspection.training)
+    angles = np.array([[0.0 if a == b else space.angle(a, b) for b in inspection.training] for a in inspection.training])
+    widest = float(angles.max())
     if widest < NARROW:
         section.add("poor", f"All cameras stand within {widest:.1f} degrees, seen from the scene: depth is uncertain, and views beside "
                             "them will be distorted.", "Spread the cameras; 20 degrees from one to the next are "
                                   "fine.", (), ("baseline", round(widest, 2), "degrees"))
-    lonely = [view for view, gap in gaps.items() if gap > FAR]
-    if lonely and count >= FEW:
-        section.add("poor", f"{listed(lonely)} {'stands' if len(lonely) == 1 else 'stand'} more than {FAR:.0f} degrees from the nearest "
-                    "other camera: between them the model has to guess.", "Add cameras in between, or keep the final camera near the "
-                    "filmed directions.", lonely, ("gap", round(max(gaps[v] for v in lonely), 1), "degrees"))
+    if count >= FEW:
+        _gaps(section, inspection.training, np.minimum(angles, angles.T))
     shown = {view: angle for view, (_, angle) in nearest.items()}
     grades = {view: "wrong" if angle > FAR else "poor" if angle > APART else "" for view, angle in shown.items()}
     section.pictures.append(drawing.bars("Degrees from each camera to the nearest training camera.", shown, "degrees", grades,
@@ -77,6 +74,26 @@ def _held_out(section: Section, space: Space, view: str, nearest: tuple[str, flo
                 f"{float((seen < 1).mean()):.0%} by none. Surfaces that face it were filmed at a slant or not at all.", "No setting "
                 f"changes that: film from directions at most {APART:.0f} degrees apart. Judge this model from between its training "
                 "cameras.", [view], ("angle", round(angle, 2), "degrees"))
+
+
+def _gaps(section: Section, training: list[str], angles: np.ndarray) -> None:
+    """Groups of cameras, of which no two have less than FAR degrees [views, views] between them."""
+    group = np.arange(len(training))
+    for a, b in np.argwhere(angles <= FAR):
+        group[group == group[b]] = group[a]
+    groups = sorted(([view for view, own in zip(training, group) if own == one] for one in np.unique(group)), key=len, reverse=True)
+    if len(groups) < 2:
+        return
+    gap = max(float(angles[np.ix_(group == one, group != one)].min()) for one in np.unique(group))
+    beside = [view for views in groups[1:] for view in views]
+    if len(beside) == len(groups) - 1:
+        sentence = (f"{listed(beside)} {'stands' if len(beside) == 1 else 'stand'} more than {FAR:.0f} degrees from the nearest other "
+                    "camera: between them the model has to guess.")
+    else:
+        some = "; ".join(listed(views, 3) for views in groups[:4]) + ("; ..." if len(groups) > 4 else "")
+        sentence = f"The cameras stand in {len(groups)} groups, {gap:.0f} degrees apart: between these the model has to guess ({some})."
+    section.add("poor", sentence, "Add cameras in between, or keep the final camera near the filmed directions.", beside,
+                ("gap", round(gap, 1), "degrees"))
 
 
 def _few(section: Section, space: Space, training: list[str]) -> None:

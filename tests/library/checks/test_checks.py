@@ -17,7 +17,7 @@ from fastgs_blender import cli
 from fastgs_blender.cameras.camera import Camera
 from fastgs_blender.captures import open_capture
 from fastgs_blender.checks import CHECKS, blur, check, page, timing
-from fastgs_blender.checks.extrapolation import _few
+from fastgs_blender.checks.extrapolation import _few, _gaps
 from fastgs_blender.checks.report import Section
 from fastgs_blender.checks.samples import Inspection
 from fastgs_blender.checks.space import Space
@@ -113,6 +113,19 @@ def test_few_cameras_and_a_held_out_view_far_away(folder):
     held = next(p for p in report.sections["coverage"].pictures if p.pixels is not None)
     assert held.caption.startswith("cam03 (held out")
     assert report.sections["coverage"].measures["seen_by_fewer_than_3"]["cam03"] > 0.25
+
+
+@pytest.mark.parametrize(("degrees", "beside", "gap", "words"), [
+    (np.arange(0, 360, 30), (), 0, ""), ([*range(0, 120, 20), 180], [6], 80, "cam6"),
+    ([0, 12, 70, 84, 160, 174, 250, 262], [2, 3, 4, 5, 6, 7], 76, "4 groups")])
+def test_a_gap_between_groups_of_cameras_is_named(degrees, beside, gap, words):
+    """Pairs of cameras around a stage: each has a neighbour, and between the pairs nothing is known."""
+    apart = np.abs(np.subtract.outer(degrees, degrees))
+    section = Section("View Extrapolation", "")
+    _gaps(section, [f"cam{i}" for i in range(len(degrees))], np.minimum(apart, 360 - apart).astype(float))
+    assert len(section.findings) == (1 if beside else 0)
+    for finding in section.findings:
+        assert finding.views == tuple(f"cam{i}" for i in beside) and finding.figure[1] == gap and words in finding.sentence
 
 
 def test_cameras_that_agree_far_away_are_apart_for_what_is_near():
