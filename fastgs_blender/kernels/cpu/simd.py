@@ -193,7 +193,7 @@ def totals(builder, eight) -> Floats:
 def prefetch(context, array, index):
     """Ask for the first and the last byte of row `index` of a C-contiguous array to be brought into the cache; never faults.
 
-    Rows of some forty bytes mostly lie in two of the cache's lines.
+    Rows of some forty bytes mostly lie in two of the cache's lines; of an array with one axis a row is a number.
     """
     def build(context, b, signature, args):
         made = make_array(signature.args[0])(context, b, args[0])
@@ -202,7 +202,7 @@ def prefetch(context, array, index):
         number = ir.IntType(32)
         function = b.module.declare_intrinsic(
             "llvm.prefetch", [row.type], ir.FunctionType(ir.VoidType(), [row.type, number, number, number]))
-        for place in (ir.Constant(stride.type, 0), b.sub(stride, ir.Constant(stride.type, 1))):
+        for place in (ir.Constant(stride.type, 0), b.sub(stride, ir.Constant(stride.type, 1)))[:signature.args[0].ndim]:
             b.call(function, [b.gep(row, [place]), number(0), number(3), number(1)])
         return context.get_dummy_value()
     return types.void(array, types.intp), build

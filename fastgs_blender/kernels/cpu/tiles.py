@@ -23,6 +23,8 @@ ROUNDING = 1e-6
 
 AHEAD = 16
 """How many splats ahead memory is asked for: sorted by depth, they lie all over it."""
+LINE = 16
+"""Places of a list in a line of the cache: the next line is asked for at each write, as lists of all tiles are not in the cache."""
 
 
 EXACT = 4
@@ -138,5 +140,6 @@ def scatter(runs, first_tile, last_tile, cursor, ids):
     """Write the splats of the runs of spans() into the lists of the tiles first_tile..last_tile; cursor [tiles]: where each goes next."""
     for k in range(len(runs)):
         for tile in range(max(runs[k, 1], first_tile), min(runs[k, 2], last_tile)):
-            ids[cursor[np.uintp(tile)]] = runs[k, 0]
-            cursor[np.uintp(tile)] += np.uint32(1)
+            at = cursor[np.uintp(tile)]
+            prefetch(ids, np.intp(at) + LINE)
+            ids[at], cursor[np.uintp(tile)] = runs[k, 0], at + np.uint32(1)
