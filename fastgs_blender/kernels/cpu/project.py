@@ -21,11 +21,14 @@ from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, tak
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .reaching import ROUNDING, before, extent, in_camera, put_boxes, rows_of
 from .sampling import PIXEL, blurs, far_squared
+from .simd import prefetch
 from .temporal import temporal_factor
 
 REACH = oracle.REACH
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
 """Rows of what is made of eight Gaussians, after a splat's geometry."""
+AHEAD = 64
+"""How many Gaussians ahead their coefficients of motion are asked for: they are most of what is read, and the processor guesses too late."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -198,6 +201,7 @@ def opaque(first, last, boxes, look, arrays, times, view, lens, constants, numbe
         put(found, 3, count, pz)
         lanes, everywhere, begun = bits(alive), bits(nearby), count
         for lane in range(min(LANES, last - begin)):
+            prefetch(motion, min(begin + lane + AHEAD, last - 1))
             if not lanes >> lane & 1 or (filtered and hidden[begin + lane]):
                 continue
             if asked and not (everywhere >> lane & 1 or before(made, lane, cells[0])):
