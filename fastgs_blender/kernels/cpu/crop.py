@@ -6,6 +6,7 @@ import math
 
 from ...rendering.crops import SPHERE, VOLUME
 from .jit import inline
+from .lanes import three
 
 
 @inline
@@ -61,5 +62,6 @@ def _depth(volumes, number, u, v, w):
 @inline
 def in_ball(position, n, ball):
     """Whether the constant position of Gaussian n lies in a ball (centre, squared radius); an infinite one holds everything."""
-    dx, dy, dz = position[n, 0] - ball[0], position[n, 1] - ball[1], position[n, 2] - ball[2]
+    dx, dy, dz = three(position, n)
+    dx, dy, dz = dx - ball[0], dy - ball[1], dz - ball[2]
     return dx * dx + dy * dy + dz * dz <= ball[3]

@@ -263,6 +263,65 @@ def _gather(context, b, given, args):
     return b.fpext(vector, DOUBLES) if kind.dtype is types.float32 else vector
 
 
+def three(array, *place):
+    """The first three numbers of array[place].  Of Gaussians in C-contiguous float32 they are read together, in half the time."""
+    return tuple(array[place][:3])
+
+
+def four(array, *place):
+    """The first four."""
+    return tuple(array[place][:4])
+
+
+@overload(three)
+def _three_of(array, *place):
+    if _lies_together(array, place):
+        return lambda array, *place: _together(array, place, 3)
+    return lambda array, *place: (array[place + (0,)], array[place + (1,)], array[place + (2,)])
+
+
+@overload(four)
+def _four_of(array, *place):
+    if _lies_together(array, place):
+        return lambda array, *place: _together(array, place, 4)
+    return lambda array, *place: (array[place + (0,)], array[place + (1,)], array[place + (2,)], array[place + (3,)])
+
+
+def _lies_together(array, place) -> bool:
+    return place[0] is PICKED and array.layout == "C" and array.dtype is types.float32
+
+
+@intrinsic(prefer_literal=True)
+def _together(context, array, place, count):
+    """Three or four numbers side by side of each Gaussian, as lanes: read as a vector each, which are then transposed."""
+    def build(context, b, given, args):
+        made, number, quad = make_array(array)(context, b, args[0]), ir.IntType(32), ir.VectorType(ir.FloatType(), 4)
+        wanted = ir.VectorType(ir.IntType(1), 4)
+        load = cgutils.get_or_insert_function(b.module, ir.FunctionType(quad, [quad.as_pointer(), number, wanted, quad]),
+                                              "llvm.masked.load.v4f32.p0")
+        each, *rest = cgutils.unpack_tuple(b, args[1], len(place))
+        first, *strides = cgutils.unpack_tuple(b, made.strides, array.ndim)
+        base, quads = b.bitcast(made.data, ir.IntType(8).as_pointer()), []
+        for index, stride in zip(rest, strides):
+            base = b.gep(base, [b.mul(index, stride)])
+        for lane in range(LANES):
+            at = b.bitcast(b.gep(base, [b.mul(b.extract_element(each, number(lane)), first)]), quad.as_pointer())
+            quads.append(b.call(load, [at, number(4), ir.Constant(wanted, [i < count.literal_value for i in range(4)]),
+                                       ir.Constant(quad, ir.Undefined)]))
+
+        def mixed(x, y, places):
+            return b.shuffle_vector(x, y, ir.Constant(ir.VectorType(number, LANES), places))
+
+        far = [mixed(x, y, list(range(8))) for x, y in zip(quads[:4], quads[4:])]  # Gaussians i and i + 4
+        turned = []
+        for half in ([0, 8, 1, 9, 4, 12, 5, 13], [2, 10, 3, 11, 6, 14, 7, 15]):
+            near = mixed(far[0], far[1], half), mixed(far[2], far[3], half)
+            turned += [mixed(*near, [i, i + 1, i + 8, i + 9, i + 4, i + 5, i + 12, i + 13]) for i in (0, 2)]
+        return context.make_tuple(b, given.return_type, [b.fpext(one, DOUBLES) for one in turned[:count.literal_value]])
+
+    return types.UniTuple(NUMBERS, count.literal_value)(array, place, count), build
+
+
 @intrinsic
 def put(context, rows, row, first, x):
     """Write x to rows[row, first:first + 8], rows a C-contiguous array of float64."""

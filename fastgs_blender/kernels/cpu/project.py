@@ -17,7 +17,7 @@ from . import raster
 from .appearance import FEATURES, appear, directed
 from .crop import crop_share, in_ball
 from .jit import inline, kernel
-from .lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
+from .lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, take, three, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .reaching import ROUNDING, before, extent, in_camera, put_boxes, rows_of
 from .sampling import PIXEL, blurs, far_squared
@@ -28,7 +28,7 @@ REACH = oracle.REACH
 LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
 """Rows of what is made of eight Gaussians, after a splat's geometry."""
 AHEAD = 64
-"""How many Gaussians ahead their coefficients of motion are asked for: they are most of what is read, and the processor guesses too late."""
+"""How many Gaussians ahead their coefficients of motion are asked for: these are most of what is read, and come late."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
 """Turns a Mahalanobis distance into the root of the exponent of 2."""
 
@@ -41,7 +41,8 @@ def _moved3(c, n, index, weights, centred, delta):
         k = m if centred else index[m]
         if not centred:
             w = weights[m]
-        x, y, z = x + w * c[n, k, 0], y + w * c[n, k, 1], z + w * c[n, k, 2]
+        a, b, d = three(c, n, k)
+        x, y, z = x + w * a, y + w * b, z + w * d
         if centred:
             w *= delta
     return x, y, z
@@ -55,7 +56,8 @@ def _moved4(c, n, index, weights, centred, delta):
         k = m if centred else index[m]
         if not centred:
             w = weights[m]
-        a, x, y, z = a + w * c[n, k, 0], x + w * c[n, k, 1], y + w * c[n, k, 2], z + w * c[n, k, 3]
+        d, e, f, g = four(c, n, k)
+        a, x, y, z = a + w * d, x + w * e, y + w * f, z + w * g
         if centred:
             w *= delta
     return a, x, y, z
@@ -65,7 +67,8 @@ def _moved4(c, n, index, weights, centred, delta):
 def _quaternion(constant, n, turn):
     """The unit quaternion of constant[n] + turn, and the length of the sum; the identity and 0 where that vanishes."""
     qw, qx, qy, qz = turn
-    qw, qx, qy, qz = qw + constant[n, 0], qx + constant[n, 1], qy + constant[n, 2], qz + constant[n, 3]
+    cw, cx, cy, cz = four(constant, n)
+    qw, qx, qy, qz = qw + cw, qx + cx, qy + cy, qz + cz
     norm = math.sqrt(qw * qw + qx * qx + qy * qy + qz * qz)
     none = norm <= 1e-12
     unit = where(none, 0.0, 1.0 / norm)
@@ -182,10 +185,12 @@ def opaque(first, last, boxes, look, arrays, times, view, lens, constants, numbe
         if not anywhere(alive):
             continue
         px, py, pz = _moved3(motion, n, index, weights, centred, t - mu_tau[n])
-        px, py, pz = px + position[n, 0], py + position[n, 1], pz + position[n, 2]
+        x, y, z = three(position, n)
+        px, py, pz = px + x, py + y, pz + z
         x, y, z = in_camera(px, py, pz, row0, row1, row2, shift)
         alive &= (z > near) & (z <= far)
-        largest = exp(max(scale[n, 0], scale[n, 1], scale[n, 2]))
+        scale0, scale1, scale2 = three(scale, n)
+        largest = exp(max(scale0, scale1, scale2))
         if sized:
             largest *= size_factor(largest, look)
         reach = 2.0 * math.log(2.0) * ROUNDING * (log2(sigma) - log2_cut)
@@ -250,7 +255,8 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
         mx, my, a02, a12, per_depth = _shear(x, y, z, lens, orthographic)
         # columns of the rotation matrix, turned into the camera, projected and scaled
         axis0, axis1, axis2 = _axes(qw, qx, qy, qz)
-        scale0, scale1, scale2 = exp(scale[n, 0]), exp(scale[n, 1]), exp(scale[n, 2])
+        scale0, scale1, scale2 = three(scale, n)
+        scale0, scale1, scale2 = exp(scale0), exp(scale1), exp(scale2)
         largest = max(scale0, scale1, scale2)
         resized = size_factor(largest, look) if sized else 1.0
         if bends and not orthographic:

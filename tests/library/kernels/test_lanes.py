@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastgs_blender.kernels.cpu.jit import kernel
-from fastgs_blender.kernels.cpu.lanes import LANES, anywhere, bits, exp, following, log2, picked, put, take, where
+from fastgs_blender.kernels.cpu.lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, take, three, where
 
 
 @kernel
@@ -60,3 +60,23 @@ def test_what_the_gaussians_have(last):
         found, any_of = gathered(part, hidden, number, 9, last, out)
         np.testing.assert_array_equal(out, [array[number[places], 1, 2], array[places, 0, 0]])
         assert found == sum(1 << i for i, one in enumerate(hidden[number[places]]) if one) and any_of == bool(found)
+
+
+@kernel
+def read_together(rows, deep, number, first, out):
+    n = picked(number, first, len(number))
+    for lane, one in enumerate(three(deep, n, 1) + four(rows, n)):
+        put(out, lane, 0, one)
+    return three(deep, 2, 1), four(rows, 3)
+
+
+def test_what_lies_side_by_side_is_read_together():
+    """The last row's end is the array's; of other arrays each number is read by itself."""
+    numbers = np.random.default_rng(0)
+    rows, deep = numbers.normal(size=(20, 4)).astype(np.float32), numbers.normal(size=(20, 2, 3)).astype(np.float32)
+    number, out = np.arange(20)[::-1].copy(), np.empty((7, LANES))
+    for first in (0, 17):
+        places = number[np.minimum(np.arange(first, first + LANES), 19)]
+        for change in (np.ascontiguousarray, np.asfortranarray, np.float64):
+            assert read_together(change(rows), change(deep), number, first, out) == (tuple(deep[2, 1]), tuple(rows[3]))
+            np.testing.assert_array_equal(out, np.concatenate([deep[places, 1], rows[places]], 1).T)
