@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numba import float32
 
 from ...rendering import oracle
 from ...rendering.instances import LIMIT
@@ -25,8 +24,8 @@ from .simd import prefetch
 from .temporal import temporal_factor
 
 REACH = oracle.REACH
-LOG2_OPACITY, LOG2_CUT, RADIUS_X, RADIUS_Y, DEPTH, DELTA, PLANE = range(5, 12)
-"""Rows of what is made of eight Gaussians, after a splat's geometry."""
+COLUMNS = 5
+"""Columns of a splat's geometry.  What is made of eight Gaussians has a row for each, and then one for each of the attributes."""
 AHEAD = 64
 """How many Gaussians ahead their coefficients of motion are asked for: these are most of what is read, and come late."""
 SCALE = math.sqrt(0.5 * math.log2(math.e))
@@ -245,7 +244,12 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, shown, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(9), rows_of(view)
     log2_cut, sized, graded, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, sampling[0][PIXEL] > 0.0
-    made, out = np.empty((PLANE + 3, LANES)), row
+    made, width, out = np.zeros((COLUMNS + attributes.shape[1], LANES)), np.uintp(attributes.shape[1]), np.uintp(row)
+    made[COLUMNS + raster.ALPHA_MAX], made[COLUMNS + raster.LOG2_CUT] = alpha_max, log2_cut
+    begin = COLUMNS + raster.CHANNEL
+    colour, colours = begin + channel, 9 if appearance == FEATURES else 3
+    if weight_channel >= 0:
+        made[begin + weight_channel] = 1.0
     for k in range(0, count, LANES):
         n = picked(number, k, count)
         sigma, px, py, pz = take(found, 0, k), take(found, 1, k), take(found, 2, k), take(found, 3, k)
@@ -296,7 +300,7 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
             area = sharp + small * (s00 + s11 - 2.0 * blur) + small * small
             faint = where(faded, 0.5 * log2(where(faded, area / det, 1.0)), 0.0)
             alive &= (area > 0.0) | (small >= blur)
-            put(made, LOG2_CUT, 0, log2_cut + faint)
+            put(made, COLUMNS + raster.LOG2_CUT, 0, log2_cut + faint)
             log2_sigma += faint
         root = math.sqrt(s11)
         l22, whole = SCALE / root, 1.0 / math.sqrt(det)
@@ -305,56 +309,46 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
         put(made, raster.L11, 0, SCALE * root * whole)
         put(made, raster.L21, 0, -s01 * l22 * whole)
         put(made, raster.L22, 0, l22)
-        put(made, LOG2_OPACITY, 0, log2_sigma)
-        put(made, RADIUS_X, 0, radius_x + 1e-3)
-        put(made, RADIUS_Y, 0, radius_y + 1e-3)
-        put(made, DEPTH, 0, z)
-        put(made, DELTA, 0, delta)
+        put(made, COLUMNS + raster.LOG2_OPACITY, 0, log2_sigma)
+        put(made, COLUMNS + raster.RADIUS_X, 0, radius_x + 1e-3)
+        put(made, COLUMNS + raster.RADIUS_Y, 0, radius_y + 1e-3)
+        put(made, COLUMNS + raster.DEPTH, 0, z)
+        if depth_channel >= 0:
+            put(made, begin + depth_channel, 0, z)
         if plane_channel >= 0:
             d0, d1, d2 = _depths(axis0, axis1, axis2, row2, scale0 * resized, scale1 * resized, scale2 * resized)
             less, area = (0.0, det) if blurred else (blur, sharp)
             slope_x, slope_y = _slope(d0, d1, d2, u, v, s00 - less, s01, s11 - less, area, z, radius_x, radius_y)
-            put(made, PLANE, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))
-            put(made, PLANE + 1, 0, slope_x)
-            put(made, PLANE + 2, 0, slope_y)
+            plane = begin + plane_channel
+            put(made, plane, 0, z - slope_x * (mx - middle_x) - slope_y * (my - middle_y))
+            put(made, plane + 1, 0, slope_x)
+            put(made, plane + 2, 0, slope_y)
+        if not directed(appearance):
+            for c in range(colours):
+                put(made, colour + c, 0, features[n, c] * delta if c >= 6 else features[n, c])
+        if directed(appearance) or graded:
+            for lane in range(LANES):
+                i = number[min(k + lane, count - 1)]
+                for c in range(colours):
+                    shown[c] = made[colour + c, lane]
+                if directed(appearance):
+                    appear(appearance, features, i, degree, found[1, k + lane], found[2, k + lane], found[3, k + lane], t - mu_tau[i], eye,
+                           orthographic, terms, shown)
+                if graded:
+                    grade(shown, look)
+                for c in range(colours):
+                    made[colour + c, lane] = shown[c]
+        for c in range(colours):
+            alive &= abs(take(made, colour + c, 0)) <= LIMIT
 
         lanes = bits(alive)
-        for lane in range(min(LANES, count - k)):
-            if not lanes >> lane & 1:
-                continue
-            i = number[k + lane]
-            if directed(appearance):
-                appear(appearance, features, i, degree, found[1, k + lane], found[2, k + lane], found[3, k + lane], made[DELTA, lane], eye,
-                       orthographic, terms, shown)
-            else:
-                for c in range(9 if appearance == FEATURES else 3):
-                    shown[c] = features[i, c] * made[DELTA, lane] if c >= 6 else features[i, c]
-            if graded:
-                grade(shown, look)
-            good = True
-            for c in range(raster.CHANNEL, attributes.shape[1]):
-                attributes[out, c] = float32(0.0)
-            for c in range(9 if appearance == FEATURES else 3):
-                good = good and abs(shown[c]) <= LIMIT
-                attributes[out, raster.CHANNEL + channel + c] = shown[c]
-            if not good:
-                continue
-            if weight_channel >= 0:
-                attributes[out, raster.CHANNEL + weight_channel] = float32(1.0)
-            if depth_channel >= 0:
-                attributes[out, raster.CHANNEL + depth_channel] = made[DEPTH, lane]
-            if plane_channel >= 0:
-                for c in range(3):
-                    attributes[out, raster.CHANNEL + plane_channel + c] = made[PLANE + c, lane]
-            for c in range(5):
+        for lane in range(np.uintp(min(LANES, count - k))):
+            # written anyway, and kept where it is seen: no branch, which the processor might guess wrong
+            for c in range(np.uintp(COLUMNS)):
                 geometry[out, c] = made[c, lane]
-            attributes[out, raster.LOG2_OPACITY] = made[LOG2_OPACITY, lane]
-            attributes[out, raster.ALPHA_MAX] = alpha_max
-            attributes[out, raster.LOG2_CUT] = made[LOG2_CUT, lane] if sampled else log2_cut
-            attributes[out, raster.DEPTH] = made[DEPTH, lane]
-            attributes[out, raster.RADIUS_X] = made[RADIUS_X, lane]
-            attributes[out, raster.RADIUS_Y] = made[RADIUS_Y, lane]
-            depth[out] = made[DEPTH, lane]
-            source[out] = i
-            out += 1
-    return out - row
+            for c in range(width):
+                attributes[out, c] = made[np.uintp(COLUMNS) + c, lane]
+            depth[out] = made[np.uintp(COLUMNS + raster.DEPTH), lane]
+            source[out] = number[np.uintp(k) + lane]
+            out += np.uintp(lanes) >> lane & np.uintp(1)
+    return np.intp(out) - row
