@@ -17,6 +17,8 @@ from numba.core.typing.templates import AbstractTemplate, infer_global, signatur
 from numba.extending import intrinsic, lower_builtin, lower_cast, models, overload, register_model
 from numba.np.arrayobj import make_array
 
+from .jit import inline
+
 LANES = 8
 FUSE = ("contract", "nsz")
 DOUBLES, INTS, BITS = (ir.VectorType(kind, LANES) for kind in (ir.DoubleType(), ir.IntType(64), ir.IntType(1)))
@@ -320,6 +322,14 @@ def _together(context, array, place, count):
         return context.make_tuple(b, given.return_type, [b.fpext(one, DOUBLES) for one in turned[:count.literal_value]])
 
     return types.UniTuple(NUMBERS, count.literal_value)(array, place, count), build
+
+
+@inline
+def room(rows):
+    """np.empty((rows, LANES)) that begins at a line of the cache: a vector in two pages of memory takes many times as long."""
+    block = np.empty((rows + 1) * LANES)
+    first = -np.intp(block.ctypes.data) % 64 // 8
+    return block[first:first + rows * LANES].reshape(rows, LANES)
 
 
 @intrinsic

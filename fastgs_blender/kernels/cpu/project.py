@@ -16,7 +16,7 @@ from . import raster
 from .appearance import FEATURES, appear, directed
 from .crop import crop_share, in_ball
 from .jit import inline, kernel
-from .lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, take, three, where
+from .lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, room, take, three, where
 from .look import FAINTEST, GRADED, OPACITY, SIZED, grade, size_factor
 from .reaching import ROUNDING, before, extent, in_camera, put_boxes, rows_of
 from .sampling import PIXEL, blurs, far_squared
@@ -175,7 +175,7 @@ def opaque(first, last, boxes, look, arrays, times, view, lens, constants, numbe
     row0, row1, row2, shift, _ = rows
     log2_cut, sized, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, captured[PIXEL] > 0.0
     finer = 1.0 / captured[PIXEL] if sampled else 0.0
-    hides, filtered, asked, count, made = len(crops[1]) > 0, len(hidden) > 0, len(cells[0]) > 0, 0, np.empty((5, LANES))
+    hides, filtered, asked, count, made = len(crops[1]) > 0, len(hidden) > 0, len(cells[0]) > 0, 0, room(5)
     for begin in range(first, last, LANES):
         n = following(begin, last)
         faintness = 1.0 + exp(-opacity[n])
@@ -244,7 +244,8 @@ def project(row, count, number, found, look, arrays, times, view, lens, constant
     appearance, degree, channel, weight_channel, depth_channel, (plane_channel, middle_x, middle_y, blurred) = channel_plan
     terms, shown, (row0, row1, row2, shift, eye) = np.empty(25), np.empty(9), rows_of(view)
     log2_cut, sized, graded, sampled = math.log2(alpha_cut), look[SIZED] != 0.0, look[GRADED] != 0.0, sampling[0][PIXEL] > 0.0
-    made, width, out = np.zeros((COLUMNS + attributes.shape[1], LANES)), np.uintp(attributes.shape[1]), np.uintp(row)
+    made, width, out = room(COLUMNS + attributes.shape[1]), np.uintp(attributes.shape[1]), np.uintp(row)
+    made[:] = 0.0
     made[COLUMNS + raster.ALPHA_MAX], made[COLUMNS + raster.LOG2_CUT] = alpha_max, log2_cut
     begin = COLUMNS + raster.CHANNEL
     colour, colours = begin + channel, 9 if appearance == FEATURES else 3

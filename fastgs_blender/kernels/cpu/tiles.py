@@ -12,7 +12,7 @@ import numpy as np
 
 from . import raster
 from .jit import inline, kernel
-from .lanes import LANES, put, take, where
+from .lanes import LANES, put, room, take, where
 from .simd import prefetch
 
 MARGIN = 1e-3
@@ -54,7 +54,7 @@ def spans(first, last, order, geometry, attributes, tile_x, tile_y, columns, row
     """
     sums, after, before = wanted
     tile, some = 1 << shift, len(after) > 0
-    number, found = np.empty((1, LANES)), np.empty((2, LANES))
+    number, found = room(1), room(2)
     for lane in range(LANES):
         number[0, lane] = lane * tile
     # from here on in pixels from the centre of the first tile's first pixel

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 
 from fastgs_blender.kernels.cpu.jit import kernel
-from fastgs_blender.kernels.cpu.lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, take, three, where
+from fastgs_blender.kernels.cpu.lanes import LANES, anywhere, bits, exp, following, four, log2, picked, put, room, take, three, where
 
 
 @kernel
@@ -80,3 +80,14 @@ def test_what_lies_side_by_side_is_read_together():
         for change in (np.ascontiguousarray, np.asfortranarray, np.float64):
             assert read_together(change(rows), change(deep), number, first, out) == (tuple(deep[2, 1]), tuple(rows[3]))
             np.testing.assert_array_equal(out, np.concatenate([deep[places, 1], rows[places]], 1).T)
+
+
+@kernel
+def place_of_room(rows):
+    made = room(rows)
+    made[:] = 1.0
+    return made.ctypes.data % 64, made.shape, made.sum()
+
+
+def test_room_begins_at_a_line_of_the_cache():
+    assert [place_of_room(rows) for rows in (1, 2, 7)] == [(0, (rows, LANES), rows * LANES) for rows in (1, 2, 7)]
