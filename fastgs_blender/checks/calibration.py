@@ -10,6 +10,7 @@ from ..captures.pixels import undistortion
 from ..captures.pixels.store import FrameStore
 from ..training.core.targets import small_camera, smaller
 from ..training.initial import features
+from ..training.initial.bumped import pose_by_points
 from ..training.initial.calibrate import calibrated
 from ..util.documentation import page
 from ..util.errors import FastGSError
@@ -123,22 +124,17 @@ def _unknown_places(section: Section, inspection: Inspection) -> None:
 
 
 def turned_by(matches: Matches, view: str, bad: Collection[str]) -> tuple[float, float] | None:
-    """The rotation in degrees and the distance between a camera's pose and its calibration, from points that correct cameras see too."""
-    pycolmap = features.pycolmap_module()
+    """The rotation in degrees and the distance between a camera's pose and its calibration, from points that correct cameras see too, as
+    training finds it."""
     _, places, xyz = offsets(matches, view, [other for other in bad if other != view])
     if len(xyz) < LEAST_POINTS:
         return None
     camera = next(each.camera for (_, name), each in matches.features.items() if name == view)
-    lens = pycolmap.Camera(model="PINHOLE", width=camera.width, height=camera.height, params=[camera.fx, camera.fy, camera.cx, camera.cy])
-    options = pycolmap.AbsolutePoseEstimationOptions()
-    options.ransac.max_error, options.ransac.random_seed = 4.0, 1
-    found = pycolmap.estimate_and_refine_absolute_pose(places, xyz, lens, options)
-    if found is None:
+    pose, given = pose_by_points(places, xyz, camera), camera.world_to_camera
+    if pose is None:
         return None
-    pose = found["cam_from_world"].matrix()
-    given = camera.world_to_camera
-    turn = pose[:, :3] @ given[:3, :3].T
-    moved = np.linalg.norm(-pose[:, :3].T @ pose[:, 3] + given[:3, :3].T @ given[:3, 3])
+    turn = pose[:3, :3] @ given[:3, :3].T
+    moved = np.linalg.norm(-pose[:3, :3].T @ pose[:3, 3] + given[:3, :3].T @ given[:3, 3])
     return float(np.degrees(np.arccos(np.clip((np.trace(turn) - 1) / 2, -1, 1)))), float(moved)
 
 
@@ -149,8 +145,9 @@ def _tell(section: Section, inspection: Inspection, matches: Matches, view: str,
         moved = f" and moved by {found[1]:.2g} of the world's units" if found[1] > 0.02 * inspection.capture.extent else ""
         by = f"it seems turned by {found[0]:.1f} degrees{moved} against its calibration, as by a bump"
         section.measures.setdefault("turned_degrees", {})[view] = round(found[0], 3)
-    section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.", f"Calibrate {view} again, "
-                "or leave it out: all that it sees is blurred otherwise.", [view], ("reprojection error", round(error, 3), "pixels"))
+    section.add("wrong", f"What {view} shows is {error:.1f} pixels from where the other cameras put it: {by}.", f"Calibrate {view} again. "
+                "Training turns it to where the others say (--poses auto), if their pictures have enough in common; else leave it out.",
+                [view], ("reprojection error", round(error, 3), "pixels"))
 
 
 def _borders(section: Section, inspection: Inspection, matches: Matches, bad: Collection[str]) -> None:

@@ -3,7 +3,7 @@
 
 Matches are the inliers of one fundamental matrix (pycolmap's LO-RANSAC, with a fixed seed); a pair of pictures without a consistent matrix
 is not used.  A matrix alone is not enough: on a floor of tiles, matches that are off by one tile agree with each other.  So a feature
-counts only if nothing else in its own picture looks like it.
+counts only if nothing else in its own picture looks like it (features.distinct()).
 """
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
@@ -23,8 +23,6 @@ MOMENTS, LEAST, LEAST_SHARE = 3, 16, 0.35
 """Moments at most; matches of a pair that must agree, and their share: fewer agree by chance."""
 AGREE = 3.0
 """Pixels within which matches agree on a fundamental matrix."""
-ALONE, DISTINCT = 0.4, 0.8
-"""Least distance of a feature's descriptor from all others of its picture, and the largest share of it that a match may be apart."""
 MOST_FEATURES = 2500
 MOST_POINTS = 3000
 CLOSE = 2.0
@@ -149,19 +147,11 @@ def matched(samples: Mapping[str, Sequence], posed: bool, progress: Callable[[fl
     for done, (frame, a, b) in enumerate(todo):
         progress(0.8 + 0.2 * done / len(todo))
         one, other = found[frame, a], found[frame, b]
-        rows = distinct(features.matches(one, other, np.inf), one, other, alone[frame, a], alone[frame, b])
+        rows = features.distinct(features.matches(one, other, np.inf), one, other, alone[frame, a], alone[frame, b])
         pair = _pair(pycolmap, frame, a, b, one, other, rows, posed)
         pairs += [pair] if pair else []
     progress(1.0)
     return Matches(found, kept, pairs, len(todo))
-
-
-def distinct(rows: np.ndarray, a: features.Features, b: features.Features, alone_a: np.ndarray, alone_b: np.ndarray) -> np.ndarray:
-    """Of matches [M, 2], those of features that no other one in their own picture looks like: features.alone() of both pictures."""
-    one, other = rows.T
-    apart = np.sqrt(np.maximum(2 - 2 * np.einsum("mk,mk->m", a.descriptors[one], b.descriptors[other]), 0))
-    alone = np.minimum(alone_a[one], alone_b[other])
-    return rows[(alone > ALONE) & (apart < DISTINCT * alone)]
 
 
 def _pair(pycolmap: ModuleType, moment: int, a: str, b: str, one: Any, other: Any, rows: np.ndarray, posed: bool) -> Pair | None:

@@ -148,9 +148,10 @@ def _features(capture: Capture, store: Any, settings: Settings, moments: list[li
             places, descriptors = extract(image)
             good = sample(inside[..., None], places)[:, 0] > 0.5 if inside is not None else np.ones(len(places), bool)
             found.append(features.Features(places[good], descriptors[good], camera))
-        xyz, seen_by = features.triangulated(found, 2 if few else min(len(shots), 3))
+        xyz, tracks = features.triangulated(found, 2 if few else min(len(shots), 3))
         shown = [sample(image, project(camera, xyz)[0]) for image, camera, _ in pictures]
-        for row, (point, views) in enumerate(zip(xyz, seen_by)):
+        for row, (point, track) in enumerate(zip(xyz, tracks)):
+            views = [k for k, _ in track]
             looks.append({shots[k].view: shown[k][row] for k in views})
             rays = np.array([pictures[k][1].centre for k in views]) - point
             mean = (rays / np.linalg.norm(rays, axis=1, keepdims=True)).sum(0)

@@ -31,8 +31,14 @@ LEAST_ANGLE, MOST_ANGLE = 2.0, 60.0
 """Degrees between the rays of a point, and between the viewing directions of two cameras that are compared."""
 APART = 4.0
 """Pixels between two features from which they are of different things, and not one of two sizes."""
+ALONE, DISTINCT = 0.4, 0.8
+"""Least distance of a feature's descriptor from all others of its picture, and the largest share of it that a match may be apart."""
 NEIGHBOURS = 4
 """Cameras with which each one is compared where not all pairs are."""
+
+
+Track = list[tuple[int, int]]
+"""Features that show the same point: (picture, feature), at most one of a picture."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -128,6 +134,14 @@ def alone(each: Features, apart: float = APART) -> np.ndarray:
     return np.sqrt(np.maximum(2 - 2 * likeness.max(1, initial=-1), 0))
 
 
+def distinct(rows: np.ndarray, a: Features, b: Features, alone_a: np.ndarray, alone_b: np.ndarray) -> np.ndarray:
+    """Of matches [M, 2], those of features that no other one in their own picture looks like: alone() of both pictures."""
+    one, other = rows.T
+    apart = np.sqrt(np.maximum(2 - 2 * np.einsum("mk,mk->m", a.descriptors[one], b.descriptors[other]), 0))
+    alone = np.minimum(alone_a[one], alone_b[other])
+    return rows[(alone > ALONE) & (apart < DISTINCT * alone)]
+
+
 def neighbours(cameras: Iterable[Camera], count: int = NEIGHBOURS) -> list[tuple[int, int]]:
     """Pairs of cameras that may show the same: each with the `count` that stand and look most alike.
 
@@ -144,8 +158,8 @@ def neighbours(cameras: Iterable[Camera], count: int = NEIGHBOURS) -> list[tuple
     return sorted(pairs)
 
 
-def tracks(features: list[Features], within: float = ON_LINE, count: int | None = None) -> list[list[tuple[int, int]]]:
-    """Groups of features that show the same point: lists of (picture, feature), at most one feature per picture.
+def tracks(features: list[Features], within: float = ON_LINE, count: int | None = None) -> list[Track]:
+    """Groups of features that show the same point.
 
     within  see matches();  count: each picture is compared with so many neighbours; None: with all
     """
@@ -160,35 +174,37 @@ def tracks(features: list[Features], within: float = ON_LINE, count: int | None 
     return found
 
 
-def triangulated(features: list[Features], least_views: int) -> tuple[np.ndarray, list[list[int]]]:
-    """Points [P, 3] of the tracks, and the pictures of each: in front of them, within ON_LINE of its features, at a wide enough angle."""
+def triangulated(features: list[Features], least_views: int, given: list[Track] | None = None) -> tuple[np.ndarray, list[Track]]:
+    """Points [P, 3] of the given tracks, or else of tracks(), and what remains of each track: pictures that the point lies before, within
+    ON_LINE of the features, at a wide enough angle."""
     pycolmap = pycolmap_module()
     poses = np.array([f.camera.world_to_camera[:3] for f in features])
     lenses = np.array([matrix(f.camera) for f in features])
     centres = np.array([f.camera.centre for f in features])
     rays = [np.c_[f.places, np.ones(len(f.places))] @ np.linalg.inv(lens).T for f, lens in zip(features, lenses)]
     rays = [each / np.linalg.norm(each, axis=1, keepdims=True) for each in rays]
-    points, seen_by = [], []
-    for track in tracks(features, count=NEIGHBOURS):
-        pictures = np.array([k for k, _ in track])
+    points, seen = [], []
+    for track in tracks(features, count=NEIGHBOURS) if given is None else given:
+        entries = np.array(track)
         toward, places = (np.array([each[k][n] for k, n in track]) for each in (rays, [f.places for f in features]))
-        while len(pictures) >= least_views:
+        while len(entries) >= least_views:
+            pictures = entries[:, 0]
             point = pycolmap.triangulate_multi_view_point(list(poses[pictures]), toward)
             if point is None:
                 break
             point = np.ravel(point)
             local = poses[pictures] @ [*point, 1.0]
-            seen = np.einsum("nij,nj->ni", lenses[pictures], local)
+            image = np.einsum("nij,nj->ni", lenses[pictures], local)
             with np.errstate(divide="ignore", invalid="ignore"):
-                errors = np.where(local[:, 2] > 0, np.linalg.norm(seen[:, :2] / seen[:, 2:] - places, axis=1), np.inf)
+                errors = np.where(local[:, 2] > 0, np.linalg.norm(image[:, :2] / image[:, 2:] - places, axis=1), np.inf)
             if errors.max() < ON_LINE:
                 if widest_angle(centres[pictures] - point) > LEAST_ANGLE:
                     points.append(point)
-                    seen_by.append(pictures.tolist())
+                    seen.append(list(map(tuple, entries.tolist())))
                 break
             better = errors < errors.max()
-            pictures, toward, places = pictures[better], toward[better], places[better]
-    return np.array(points).reshape(-1, 3), seen_by
+            entries, toward, places = entries[better], toward[better], places[better]
+    return np.array(points).reshape(-1, 3), seen
 
 
 def reprojection(features: Features, number: int, pose: np.ndarray, point: np.ndarray) -> float:

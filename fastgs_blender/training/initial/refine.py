@@ -2,11 +2,12 @@
 """Refines the given poses and focal lengths of a rig that stands still, by features that its pictures have in common (bundle.py).
 
 Every fifth track is held back.  A refined camera is taken where the features that it has of these tracks fit surely better
-(captures/evidence.py); the others stay as they were given, and all do if the tracks as a whole do not fit clearly better.
+(captures/evidence.py); the others stay as they were given, and all do if the tracks as a whole do not fit clearly better.  Cameras that
+were bumped are found again first (bumped.py), and taken by themselves, as they hardly count among many.
 Cameras that are held out are neither looked at nor changed: the prior keeps the world in its place around them.
 """
 import json
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count, pairwise
 from pathlib import Path
@@ -22,7 +23,7 @@ from ...util.errors import FastGSError
 from ...util.outputs import replacing
 from ...util.reading import read_json, reading
 from ..core.settings import Settings
-from . import bundle, features
+from . import bumped, bundle, features
 from .dense import FEW_CAMERAS, enlarged, picture, spread
 from .geometry import sample
 
@@ -101,23 +102,33 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
     first = {view: each[0] for view, each in shots.items()}
     given, lenses = [shot.camera for shot in first.values() if shot.camera is not None], [_lens(shot) for shot in first.values()]
     before = after = np.nan
-    for tracks, sizes in tracked(capture, store, settings, list(shots), progress):
+    for tracks, sizes, moved in tracked(capture, store, settings, list(shots), progress):
         if len(tracks) < ENOUGH:
             continue
         rig = rig_of(given, lenses, sizes)
-        better, before, after, used = compared(rig, tracks)
-        if settings.poses == "auto" and len(tracks) >= CERTAIN and before - after < BY / 2:
+        start = _moved(rig, moved)
+        better, before, after, used = compared(start, tracks, moved)
+        if settings.poses == "auto" and len(tracks) >= CERTAIN and before - after < BY / 2 and not moved:
             break
     if len(tracks) < ENOUGH or np.isnan(before):
         say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
         return NOTHING
+    for k in moved:
+        say(f"cameras: {list(first)[k]} looks elsewhere than its calibration says, as after a bump: it is turned by "
+            f"{np.degrees(np.linalg.norm(bundle.turned(better, rig)[k])):.2f} degrees")
     if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):
-        say(f"cameras: as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
-        return NOTHING
+        others = "the others are " if moved else ""
+        say(f"cameras: {others}as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
+        if not moved:
+            return NOTHING
+        used &= np.isin(np.arange(len(used)), list(moved))
+        better, after = replace(better, shrink=start.shrink), before
+    else:
+        turns, focal = bundle.turned(better, start), 1 / better.shrink
+        say(f"cameras: {int(used.sum())} refined by features that they see together, which now fit to {after:.2f} pixels instead of "
+            f"{before:.2f}; turned by up to {np.degrees(np.linalg.norm(turns, axis=1)).max():.2f} degrees, focal lengths changed by up to "
+            f"{100 * np.abs(focal - 1).max():.2f} %")
     turns, focal = bundle.turned(better, rig), 1 / better.shrink
-    say(f"cameras: {int(used.sum())} refined by features that they see together, which now fit to {after:.2f} pixels instead of "
-        f"{before:.2f}; turned by up to {np.degrees(np.linalg.norm(turns, axis=1)).max():.2f} degrees, focal lengths changed by up to "
-        f"{100 * np.abs(focal - 1).max():.2f} %")
     unsure = AROUND * after / rig.pixels.min(1)
     changes = {view: {"turn": np.round(turns[k], 10).tolist(), "shift": np.round(better.centres[k] - rig.centres[k], 10).tolist(),
                       "focal": round(float(focal[k]), 10), "unsure": round(float(unsure[k]), 10)}
@@ -126,9 +137,10 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
 
 
 def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[str],
-            progress: Callable[[int, int], None] = lambda done, of: None) -> Iterator[tuple[bundle.Tracks, np.ndarray]]:
-    """The tracks of features in the views' pictures of one moment, and then of all that are looked at; and the focal lengths [V, 2] of
-    these pictures in pixels.
+            progress: Callable[[int, int], None] = lambda done, of: None,
+            ) -> Iterator[tuple[bundle.Tracks, np.ndarray, dict[int, np.ndarray]]]:
+    """The tracks of features in the views' pictures of one moment, and then of all that are looked at; the focal lengths [V, 2] of
+    these pictures in pixels; and world-to-camera [4, 4] of the views, by number, that were bumped.
 
     progress(done, of) is called for each picture and for each moment's matches.
     """
@@ -143,6 +155,7 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
     progress(0, of)
     extract = features.extractor()
     pixels, camera, point, rays, slopes, points = np.ones((len(views), 2)), [], [], [], [], 0
+    again: dict[int, np.ndarray] = {}
     for number, shots in enumerate(moments):
         store.fill(shots=shots)
         found = []
@@ -156,9 +169,12 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
             found.append(features.Features(places[::step], descriptors[::step], small))
             pixels[views.index(shot.view)] = small.fx, small.fy
             progress(next(done), of)
+        moved, groups = bumped.placed_again([bumped.at(each, again.get(views.index(shot.view))) for shot, each in zip(shots, found)], WIDE,
+                                             NEIGHBOURS)
+        again |= {views.index(shots[k].view): pose for k, pose in moved.items()}
         planes = [(f.places - (f.camera.cx, f.camera.cy)) / (f.camera.fx, f.camera.fy) for f in found]
         tilts = [_by_shrink(shot, plane) for shot, plane in zip(shots, planes)]
-        for track in features.tracks(found, WIDE, NEIGHBOURS):
+        for track in groups:
             if len(track) < (2 if most <= FEW_CAMERAS else 3):
                 continue
             camera += [views.index(shots[k].view) for k, _ in track]
@@ -173,12 +189,12 @@ def tracked(capture: Capture, store: Any, settings: Settings, views: Sequence[st
         tracks = bundle.Tracks(np.array(camera, np.int64), np.array(point, np.int64), *pairs)
         known = np.isfinite(tracks.slopes).all(1)
         whole = tracks.by_point(known * 1.0) == tracks.by_point(np.ones(len(known))) if len(tracks) else np.zeros(0, bool)
-        yield tracks.take(whole), pixels
+        yield tracks.take(whole), pixels, again
 
 
-def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float, float, np.ndarray]:
+def compared(rig: bundle.Rig, tracks: bundle.Tracks, moved: Collection[int] = ()) -> tuple[bundle.Rig, float, float, np.ndarray]:
     """The rig that fits tracks better, the errors in pixels of held-back tracks by the given one and by that one, and which cameras [V] are
-    surely better in it; the others are as given."""
+    surely better in it, or were bumped (moved); the others are as given."""
     points = bundle.placed(rig, tracks)
     good = (bundle.track_errors(rig, tracks, points) < WIDE) & _wide_enough(rig, tracks, points)
     good &= np.cumsum(good) % max(1, -(-int(good.sum()) // MOST)) == 0
@@ -191,6 +207,7 @@ def compared(rig: bundle.Rig, tracks: bundle.Tracks) -> tuple[bundle.Rig, float,
     validation = tracks.take(back)
     sure = _surely_better(rig, best, validation) & np.isin(np.arange(len(rig.lens)), rest.camera)
     focal = np.isin(rig.lens, rig.lens[sure])  # cameras with one lens have one focal length
+    sure[list(moved)] = True
     better = replace(best, turns=np.where(sure[:, None, None], best.turns, rig.turns),
                      centres=np.where(sure[:, None], best.centres, rig.centres), shrink=np.where(focal, best.shrink, rig.shrink))
     before, after = (float(np.median(bundle.track_errors(each, validation, bundle.placed(each, validation)))) for each in (rig, better))
@@ -217,6 +234,14 @@ def _surely_better(given: bundle.Rig, better: bundle.Rig, validation: bundle.Tra
         if len(nearer) >= LEAST_HELD:
             sure[camera] = nearer.mean() > 0 and differs(nearer.mean(), nearer.std() / np.sqrt(len(nearer) - 1), BY)
     return sure
+
+
+def _moved(rig: bundle.Rig, found: Mapping[int, np.ndarray]) -> bundle.Rig:
+    """The rig with some cameras at other poses [4, 4]."""
+    turns, centres = rig.turns.copy(), rig.centres.copy()
+    for k, pose in found.items():
+        turns[k], centres[k] = pose[:3, :3], -pose[:3, :3].T @ pose[:3, 3]
+    return replace(rig, turns=turns, centres=centres)
 
 
 def rig_of(cameras: Sequence[Camera], lenses: Sequence, pixels: np.ndarray) -> bundle.Rig:

@@ -13,7 +13,7 @@ from fastgs_blender.captures import open_capture
 from fastgs_blender.captures.evidence import median
 from fastgs_blender.checks import calibration
 from fastgs_blender.checks.focal import common_factor
-from fastgs_blender.checks.matching import Matches, Pair, distinct, off_lines
+from fastgs_blender.checks.matching import Matches, Pair, off_lines
 from fastgs_blender.checks.reprojection import judged, surely_off
 from fastgs_blender.checks.samples import Inspection, sample
 from fastgs_blender.training.initial import features
@@ -60,9 +60,9 @@ def test_what_looks_alike_in_its_own_picture_does_not_count(rng):
     alone = features.alone(one)
     assert alone[:2] == pytest.approx([0, 0], abs=1e-3) and (alone[2:] > 1).all()
     rows = np.repeat(np.arange(5)[:, None], 2, 1)
-    assert distinct(rows, one, one, alone, alone)[:, 0].tolist() == [2, 3, 4]
+    assert features.distinct(rows, one, one, alone, alone)[:, 0].tolist() == [2, 3, 4]
     other = replace(one, descriptors=one.descriptors[::-1])
-    assert not len(distinct(rows[4:], one, other, alone, alone)), "a match that is farther apart than what is there twice"
+    assert not len(features.distinct(rows[4:], one, other, alone, alone)), "a match that is farther apart than what is there twice"
 
 
 def test_shifted_matches_make_a_right_camera_unsure(rng):

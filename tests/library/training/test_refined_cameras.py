@@ -138,7 +138,7 @@ class Given:
         def tracked(capture, store, settings, views, progress):
             for _ in range(2):
                 self.asked += 1
-                yield tracks, np.array([(camera.fx, camera.fy) for camera in cameras])
+                yield tracks, np.array([(camera.fx, camera.fy) for camera in cameras]), {}
 
         monkeypatch.setattr(refine, "tracked", tracked)
 
