@@ -125,7 +125,7 @@ def _fields(model: GaussianModel, yes: np.ndarray, no: np.ndarray) -> Fields:
     other = _other(model, yes) if against else np.zeros(len(model))
     rest = REST * (1 + OTHER * other)
     side = yes.astype(np.float32) - no
-    found = joins(model)
+    found = joins(model).of(yes)
     order, (i, j) = hilbert_order(model.position), found.ends.T
     weight, degree = found.held(len(model))
     many = min(MANY / len(model), 1) ** 1.5
@@ -146,7 +146,7 @@ def _fields(model: GaussianModel, yes: np.ndarray, no: np.ndarray) -> Fields:
 def unsure(model: GaussianModel, yes: np.ndarray, no: np.ndarray, thing: np.ndarray) -> np.ndarray:
     """The parts that strokes, given as for grow(), leave open of the thing [N] bool that was found: [N] their numbers, 1 the largest; 0 is
     sure.  One more stroke over a part, of either kind, as a rule decides it for the next grow()."""
-    return untold(joins(model), positions_at(model, 0.5), yes, no, thing, _other(model, yes) < 0.5)
+    return untold(joins(model).of(yes), positions_at(model, 0.5), yes, no, thing, _other(model, yes) < 0.5)
 
 
 def _reached(border: float, reach: float, mean: float) -> float:

@@ -1,5 +1,5 @@
 # SPDX-License-Identifier: GPL-3.0-or-later
-"""What joins the Gaussians of a model: neighbours in place and velocity, and how alike the two of each pair are."""
+"""What joins the Gaussians of a model: neighbours in place and velocity, and those that follow each other; and how alike two are."""
 from dataclasses import dataclass
 
 import numpy as np
@@ -9,6 +9,7 @@ from ..model.slicing import opacities_at, positions_at
 from ..rendering.filters import base_colours
 from ..util.kept import kept
 from .neighbours import nearest
+from .succession import successions
 
 TIMES = 9
 """Moments of the clip at which Gaussians are compared; at every second one of them their neighbours are looked for."""
@@ -27,7 +28,8 @@ FIRM, FAR = 4.0, 5.0
 """The share is so many times the change that the firmest quarter of joins has, of those that travel FAR usual distances."""
 MOST_STRETCH, MOST_TINT = 12.0, 6.0
 """The most of `drift` and of `tint`: a thing has several colours, but does not come apart."""
-
+FOLLOWS = 0.7
+"""The `drift` of two Gaussians of which one follows the other: they hold each other half as strongly as others."""
 NEAREST = 0.3
 """Joins get no stronger below this distance, in units of the usual one."""
 LOOSE = 1e-6
@@ -39,15 +41,25 @@ class Joins:
     """Pairs of neighbours.
 
     ends    [E, 2] int32, each pair once
-    near    [E] float32, their least distance, in units of the usual one of their neighbours
+    near    [E] float32, their least distance, in units of the usual one of their neighbours; where one follows the other, when they meet
     drift   [E] float32, how much they drift apart: 0 on, about 1 is unusual
     tint    [E] float32, the same of how much they differ in colour
+    first   from this number on, the Gaussians of joins follow each other
     """
 
     ends: np.ndarray
     near: np.ndarray
     drift: np.ndarray
     tint: np.ndarray
+    first: int
+
+    def of(self, some: np.ndarray) -> "Joins":
+        """Those by which a thing is found, of which some Gaussians [N] bool are known: who follows whom counts where half of these do."""
+        follow = np.zeros(len(some), bool)
+        follow[self.ends[self.first:]] = True
+        if follow[some].mean() >= 0.5:
+            return self
+        return Joins(self.ends[:self.first], self.near[:self.first], self.drift[:self.first], self.tint[:self.first], self.first)
 
     def held(self, count: int) -> tuple[np.ndarray, np.ndarray]:
         """How strongly each pair holds together [E] float32, and the sum [count] of what meets in each Gaussian."""
@@ -85,9 +97,19 @@ def joins(model: GaussianModel) -> Joins:
     usual /= np.maximum(weight, 1)
     unit = np.maximum(0.5 * (usual[i] + usual[j]), 1e-9)
     colour = np.clip(base_colours(model), 0, 1)  # what is brighter looks white all the same
-    drift = _unusual((high - low) / unit, (STRETCH, np.inf), MOST_STRETCH, _drift(place, alive, ends, high - low, unit))
-    tint = _unusual(np.linalg.norm(colour[i] - colour[j], axis=1), TINT, MOST_TINT)
-    return Joins(np.stack(ends, 1).astype(np.int32), *(each.astype(np.float32) for each in (low / unit, drift, tint)))
+    change = (high - low) / unit
+    drift = _unusual(change, _usual(change, STRETCH, np.inf) + _drift(place, alive, ends, high - low, unit), MOST_STRETCH)
+    differs = np.linalg.norm(colour[i] - colour[j], axis=1)
+    tint = _unusual(differs, _usual(differs, *TINT), MOST_TINT)
+    near, drift, tint = (each.astype(np.float32) for each in (low / unit, drift, tint))
+    found = Joins(np.stack(ends, 1).astype(np.int32), near, drift, tint, len(pairs))
+    if not changes:
+        return found
+    more, apart = successions(model, found.ends, found.held(len(model))[0], usual, ALIVE)
+    other = _unusual(np.linalg.norm(colour[more[:, 0]] - colour[more[:, 1]], axis=1), _usual(differs, *TINT), MOST_TINT)
+    follows = np.full(len(more), FOLLOWS, np.float32)
+    near, drift, tint = (np.concatenate(both, dtype=np.float32) for both in ((near, apart), (drift, follows), (tint, other)))
+    return Joins(np.concatenate([found.ends, more], dtype=np.int32, casting="same_kind"), near, drift, tint, len(pairs))
 
 
 def _drift(place: np.ndarray, alive: np.ndarray, ends: tuple, change: np.ndarray, unit: np.ndarray) -> np.ndarray:
@@ -99,6 +121,9 @@ def _drift(place: np.ndarray, alive: np.ndarray, ends: tuple, change: np.ndarray
     return travel * np.clip(FIRM * np.quantile((change / unit / travel)[far], 0.25) if far.any() else 0, *DRIFT)
 
 
-def _unusual(value: np.ndarray, unit: tuple[float, float], most: float, besides: float | np.ndarray = 0.0) -> np.ndarray:
-    usual = np.clip(2 * float(np.median(value)) if len(value) else 0.0, *unit)
-    return np.minimum(0.5 * (value / (usual + besides)) ** 2, most)
+def _usual(value: np.ndarray, least: float, most: float) -> float:
+    return float(np.clip(2 * float(np.median(value)) if len(value) else 0.0, least, most))
+
+
+def _unusual(value: np.ndarray, usual: float | np.ndarray, most: float) -> np.ndarray:
+    return np.minimum(0.5 * (value / usual) ** 2, most)

@@ -165,7 +165,7 @@ def chain(parted=(), of=spanned, **changed) -> np.ndarray:
     rows = dict(yes=range(8, 12), no=[], thing=[*RED, *BLUE], may=[*RED, *BLUE, *HEAD], like=[*RED, *BLUE]) | changed
     first = np.arange(39, dtype=np.int32)
     drift, tint = (np.where(np.isin(first, at), most, 0.0) for at, most in (((23, *parted), 12.0), ((9, 19), 6.0)))
-    found = Joins(np.stack([first, first + 1], 1), np.ones(39), drift, tint)
+    found = Joins(np.stack([first, first + 1], 1), np.ones(39), drift, tint, 39)
     return of(found, **{name: np.isin(np.arange(40), list(those)) for name, those in rows.items()})
 
 
@@ -253,7 +253,7 @@ def sheet(beyond, drift=0.0, may=True) -> np.ndarray:
     ends = np.argwhere(np.triu(apart < 1.5, 1)).astype(np.int32)
     thing = np.arange(48) < 24
     crosses = thing[ends[:, 0]] != thing[ends[:, 1]]
-    found = Joins(ends, np.ones(len(ends)), np.where(crosses, drift, 0.0), np.where(crosses, 6.0, 0.0))
+    found = Joins(ends, np.ones(len(ends)), np.where(crosses, drift, 0.0), np.where(crosses, 6.0, 0.0), len(ends))
     return np.flatnonzero(continued(found, place, thing, thing | may).reshape(8, 6).all(1))
 
 
