@@ -35,8 +35,8 @@ def load_backend(name: str = "auto") -> Any:
     if isinstance(name, str) and name == "auto":
         try:
             loaded[name] = load_backend("cpu")
-        except ImportError:
-            logging.getLogger(__package__).warning("numba is not installed: rendering with NumPy, which is slow.")
+        except ImportError as error:
+            logging.getLogger(__package__).warning("numba cannot be imported (%s): rendering with NumPy, which is slow.", error)
             loaded[name] = load_backend("reference")
         return loaded[name]
     module = _module(MODULES[kind]) if kind in MODULES else None
