@@ -11,7 +11,7 @@ from ..util.outputs import appending
 from ..util.processes import end, hidden
 from ..util.reading import LARGEST_JSON, read_bytes
 
-INSTALLED = ("numpy>=1.26", "numba>=0.61", "safetensors>=0.4.3", "OpenEXR>=3.3", "pillow>=10", "tqdm>=4.60", "zstandard>=0.22",
+INSTALLED = ("numpy>=1.26", "numba>=0.62", "safetensors>=0.4.3", "OpenEXR>=3.3", "pillow>=10", "tqdm>=4.60", "zstandard>=0.22",
              "wgpu>=0.32,<0.40", "av>=14", "pycolmap>=4.2")
 """What an environment gets, in the versions of pyproject.toml, which no extension brings along; a test compares them."""
 SIZE = "about half a gigabyte"
