@@ -26,7 +26,7 @@ AS_GOOD = 0.8
 """A turn alone is taken where this share of the points that agree on a turn and a move agree on it."""
 AGREE, CLOSE = 4.0, 2.0
 """Pixels within which a point votes for a pose, and within which it agrees with it."""
-OFF = 3.0
+OFF = 1.5
 """Pixels by which the given pose must miss half of the points that agree."""
 TRIED, ROUNDS = 64, 4
 """Points of which all pairs are tried, and rounds in which those that vote are turned together."""
