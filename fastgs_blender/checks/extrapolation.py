@@ -77,7 +77,7 @@ def _held_out(section: Section, space: Space, view: str, nearest: tuple[str, flo
 
 
 def _gaps(section: Section, training: list[str], angles: np.ndarray) -> None:
-    """Groups of cameras, of which no two have less than FAR degrees [views, views] between them."""
+    """Tell of groups of cameras that stand more than FAR degrees apart, by the angles [views, views] between all of them."""
     group = np.arange(len(training))
     for a, b in np.argwhere(angles <= FAR):
         group[group == group[b]] = group[a]

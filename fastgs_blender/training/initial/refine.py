@@ -44,6 +44,8 @@ HELD_BACK = 5
 BETTER, BY = 0.9, 0.05
 """Where the error of the held-back tracks falls below this share of what it was, and by so many pixels, refined cameras are taken: those
 whose own features come nearer by as much."""
+MOVED = 0.02
+"""Share of the capture's extent by which a bumped camera is said to be moved, too."""
 LEAST_HELD = 8
 """Features of held-back tracks, with fewer of which nothing is told of a camera."""
 NOTHING: dict = {"cameras": {}}
@@ -114,8 +116,9 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
         say(f"cameras: as they were given, because their pictures have too little in common to refine them ({len(tracks)} points)")
         return NOTHING
     for k in moved:
+        far = float(np.linalg.norm(better.centres[k] - rig.centres[k]))
         say(f"cameras: {list(first)[k]} looks elsewhere than its calibration says, as after a bump: it is turned by "
-            f"{np.degrees(np.linalg.norm(bundle.turned(better, rig)[k])):.2f} degrees")
+            f"{_degrees(better, rig)[k]:.2f} degrees{f' and moved by {far:.2g}' if far > MOVED * capture.extent else ''}")
     if not after < (BETTER * before if settings.poses == "auto" else before) or (settings.poses == "auto" and before - after < BY):
         others = "the others are " if moved else ""
         say(f"cameras: {others}as they were given; they fit their pictures to {before:.2f} pixels, refined ones to {after:.2f}")
@@ -124,10 +127,9 @@ def found_by_tracks(capture: Capture, store: Any, settings: Settings, say: Calla
         used &= np.isin(np.arange(len(used)), list(moved))
         better, after = replace(better, shrink=start.shrink), before
     else:
-        turns, focal = bundle.turned(better, start), 1 / better.shrink
         say(f"cameras: {int(used.sum())} refined by features that they see together, which now fit to {after:.2f} pixels instead of "
-            f"{before:.2f}; turned by up to {np.degrees(np.linalg.norm(turns, axis=1)).max():.2f} degrees, focal lengths changed by up to "
-            f"{100 * np.abs(focal - 1).max():.2f} %")
+            f"{before:.2f}; turned by up to {_degrees(better, start).max():.2f} degrees, focal lengths changed by up to "
+            f"{100 * np.abs(1 / better.shrink - 1).max():.2f} %")
     turns, focal = bundle.turned(better, rig), 1 / better.shrink
     unsure = AROUND * after / rig.pixels.min(1)
     changes = {view: {"turn": np.round(turns[k], 10).tolist(), "shift": np.round(better.centres[k] - rig.centres[k], 10).tolist(),
@@ -234,6 +236,11 @@ def _surely_better(given: bundle.Rig, better: bundle.Rig, validation: bundle.Tra
         if len(nearer) >= LEAST_HELD:
             sure[camera] = nearer.mean() > 0 and differs(nearer.mean(), nearer.std() / np.sqrt(len(nearer) - 1), BY)
     return sure
+
+
+def _degrees(rig: bundle.Rig, given: bundle.Rig) -> np.ndarray:
+    """By how much each camera [V] is turned."""
+    return np.degrees(np.linalg.norm(bundle.turned(rig, given), axis=1))
 
 
 def _moved(rig: bundle.Rig, found: Mapping[int, np.ndarray]) -> bundle.Rig:
